@@ -1,0 +1,1 @@
+"""Puts the processes on a machine."""

@@ -1,0 +1,1 @@
+"""Measures the system against ground truth; the only place that knows it."""

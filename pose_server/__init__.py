@@ -1,0 +1,1 @@
+"""The pose server: aligns pairs of robots, solves the fleet, asks the operator."""

@@ -1,0 +1,1 @@
+"""The pose graph of the fleet, and what to ask the operator."""

@@ -1,0 +1,1 @@
+"""Which pair is next, and aligning it."""

@@ -1,0 +1,58 @@
+"""Types for numpy arrays in messages: dtype, shape and finiteness are checked when a message is made or read."""
+
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BeforeValidator, PlainSerializer
+
+Shape = tuple[int | None, ...]
+
+
+def _checked(dtype: str, shape: Shape, finite: bool) -> Any:
+    wanted = np.dtype(dtype)
+
+    def check(value: Any) -> npt.NDArray[Any]:
+        array = np.asarray(value)
+        if array.dtype.hasobject or array.dtype.kind not in "fiub":
+            raise ValueError(f"array of dtype {array.dtype} is refused")
+        if array.ndim != len(shape) or any(
+            n is not None and n != m for n, m in zip(shape, array.shape, strict=True)
+        ):
+            raise ValueError(f"array of shape {array.shape}, need {shape}")
+        if finite and array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise ValueError("array holds nan or inf")
+        array = np.ascontiguousarray(array, dtype=wanted)
+        array.flags.writeable = False
+        return array
+
+    return check
+
+
+def array_type(dtype: str, *shape: int | None, finite: bool = True) -> Any:
+    """An annotated array type for a message field; None in the shape is any length."""
+    return Annotated[
+        np.ndarray,
+        BeforeValidator(_checked(dtype, shape, finite)),
+        PlainSerializer(lambda array: array, return_type=Any),
+    ]
+
+
+def _check_rigid(value: Any) -> npt.NDArray[np.float64]:
+    T = _checked("f8", (4, 4), True)(value)
+    if not np.allclose(T[3], (0.0, 0.0, 0.0, 1.0)):
+        raise ValueError("last row of a pose is not 0 0 0 1")
+    R = T[:3, :3]
+    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
+        raise ValueError("rotation of a pose is not orthonormal")
+    return T
+
+
+Pose = Annotated[
+    np.ndarray, BeforeValidator(_check_rigid), PlainSerializer(lambda a: a, return_type=Any)
+]
+"""(4, 4) float64 rigid motion `T_a_b`, metres: maps points of frame b to frame a."""
+Vector3 = array_type("f8", 3)
+Matrix3 = array_type("f8", 3, 3)
+Matrix6 = array_type("f8", 6, 6)
+Pixel = array_type("f8", 2)

@@ -1,0 +1,420 @@
+"""Everything that is said on the wire, one class each.
+
+Metres, radians, UTC nanoseconds of the sender's clock; camera frames have OpenCV axes (x right, y down, z forward);
+pixel (0, 0) is the centre of the top-left pixel of the rectified full-resolution image. `T_a_b` maps points of frame b
+to frame a. Covariances are ordered rotation then translation and belong to left perturbations, `exp(xi) T_a_b`.
+"""
+
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from protocol.arrays import Matrix3, Matrix6, Pixel, Pose, Vector3
+from protocol.base import Message
+from protocol.keys import NAME_PATTERN
+
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]
+Epoch = Annotated[str, Field(pattern=r"^[0-9a-f]{12}$")]
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Text = Annotated[str, Field(max_length=2000)]
+Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
+
+
+class ViewName(Message):
+    """One moment of one robot: image and cloud of it carry the same name."""
+
+    schema_name: ClassVar[str] = "fleet.view_name.v1"
+    robot: Name
+    epoch: Epoch
+    seq: Count
+
+    def __str__(self) -> str:
+        return f"{self.robot}/{self.epoch}/{self.seq}"
+
+
+class NoiseModel(Message):
+    """How well a camera measures points: every point's covariance is long along its ray and thin across."""
+
+    schema_name: ClassVar[str] = "fleet.noise_model.v1"
+    pixel_sigma_px: Positive = Field(description="sigma of a salient point in the image")
+    depth_sigma_m: tuple[NonNegative, NonNegative, NonNegative] = Field(
+        description="c0, c1, c2 of sigma(z) = c0 + c1 z + c2 z^2 along the ray, metres"
+    )
+    focal_baseline_px_m: Positive | None = Field(
+        default=None, description="focal length x baseline of a stereo rig; none for other sensors"
+    )
+
+    @classmethod
+    def stereo(
+        cls, focal_px: float, baseline_m: float, disparity_sigma_px: float, pixel_sigma_px: float
+    ) -> "NoiseModel":
+        """sigma(z) = z^2 / (f b) * disparity sigma."""
+        fb = focal_px * baseline_m
+        return cls(
+            pixel_sigma_px=pixel_sigma_px,
+            depth_sigma_m=(0.0, 0.0, disparity_sigma_px / fb),
+            focal_baseline_px_m=fb,
+        )
+
+
+class Camera(Message):
+    """`robot/<id>/camera`, latched, and inside every view, so that a view can be read alone."""
+
+    schema_name: ClassVar[str] = "fleet.camera.v1"
+    width: Annotated[int, Field(gt=0, le=16384)]
+    height: Annotated[int, Field(gt=0, le=16384)]
+    K: Matrix3 = Field(description="pinhole intrinsics of the rectified full-resolution image, px")
+    T_robot_camera: Pose = Field(description="camera extrinsics in the robot's body frame")
+    noise: NoiseModel
+    kind: Name = Field(description="what measures: stereo, rgbd, views, ...")
+
+    @model_validator(mode="after")
+    def _pinhole(self) -> "Camera":
+        K = self.K
+        if K[0, 0] <= 0 or K[1, 1] <= 0 or K[1, 0] or K[2, 0] or K[2, 1] or K[2, 2] != 1:
+            raise ValueError("K is no pinhole matrix [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
+        return self
+
+
+class CameraAnnouncement(Message):
+    """What is latched under `robot/<id>/camera`."""
+
+    schema_name: ClassVar[str] = "fleet.camera_announcement.v1"
+    robot: Name
+    epoch: Epoch
+    camera: Camera
+    rate_hz: Positive
+    capabilities: tuple[Name, ...] = ()
+
+
+class DepthCloud(Message):
+    """An organised cloud: a depth or disparity image, lossless to `step`. Coded in `protocol.clouds`."""
+
+    schema_name: ClassVar[str] = "fleet.depth_cloud.v1"
+    form: Literal["depth"] = "depth"
+    width: Annotated[int, Field(gt=0, le=16384)]
+    height: Annotated[int, Field(gt=0, le=16384)]
+    scale: Annotated[int, Field(ge=1, le=16)] = Field(
+        default=1, description="full-resolution pixels per cloud pixel"
+    )
+    coding: Literal["depth", "disparity"]
+    step: Positive = Field(description="quantum: metres for depth, full-resolution px for disparity")
+    focal_baseline_px_m: Positive | None = Field(
+        default=None, description="z = focal_baseline / disparity; only for disparity"
+    )
+    data: bytes
+
+    @model_validator(mode="after")
+    def _coding(self) -> "DepthCloud":
+        if (self.coding == "disparity") != (self.focal_baseline_px_m is not None):
+            raise ValueError("focal_baseline_px_m goes with coding 'disparity', and only with it")
+        return self
+
+
+class ScatteredCloud(Message):
+    """Points with their pixels, for clouds without a grid. Coded in `protocol.clouds`."""
+
+    schema_name: ClassVar[str] = "fleet.scattered_cloud.v1"
+    form: Literal["scattered"] = "scattered"
+    count: Annotated[int, Field(ge=0, le=2_000_000)]
+    pixel_step_px: Positive = Field(description="quantum of the pixels")
+    depth_step_m: Positive = Field(description="quantum of z")
+    data: bytes
+
+
+class Salient(Message):
+    """Salient points of a view with descriptors, strongest first. Coded in `protocol.clouds`."""
+
+    schema_name: ClassVar[str] = "fleet.salient.v1"
+    extractor: Name = Field(description="which detector and descriptor, e.g. rootsift")
+    count: Annotated[int, Field(ge=0, le=100_000)]
+    descriptor_bytes: Annotated[int, Field(ge=1, le=1024)]
+    data: bytes
+
+
+class View(Message):
+    """`robot/<id>/cloud`: what a robot saw at one moment, without the image."""
+
+    schema_name: ClassVar[str] = "fleet.view.v1"
+    name: ViewName
+    stamp_ns: int
+    camera: Camera
+    cloud: Annotated[DepthCloud | ScatteredCloud, Field(discriminator="form")]
+    salient: Salient
+    up_camera: Vector3 | None = Field(default=None, description="unit vector against gravity")
+    up_sigma_rad: Positive | None = None
+    has_image: bool = True
+
+
+class ImageHeader(Message):
+    """Travels as the attachment of a JPEG under `robot/<id>/image`."""
+
+    schema_name: ClassVar[str] = "fleet.image_header.v1"
+    view: ViewName
+    stamp_ns: int
+    scale: Annotated[int, Field(ge=1, le=16)] = Field(
+        default=1, description="full-resolution pixels per image pixel"
+    )
+
+
+class KeptView(Message):
+    """Reply of `robot/<id>/view?seq=12` : a view kept by its robot, or journalled by the server."""
+
+    schema_name: ClassVar[str] = "fleet.kept_view.v1"
+    view: View
+    jpeg: bytes | None = None
+    image: ImageHeader | None = None
+
+
+class Odometry(Message):
+    """`robot/<id>/odometry`: absolute in the robot's own odometry frame."""
+
+    schema_name: ClassVar[str] = "fleet.odometry.v1"
+    robot: Name
+    epoch: Epoch
+    stamp_ns: int
+    T_odom_robot: Pose
+    covariance: Matrix6
+
+
+class PairError(Message):
+    """One of a robot's pairs, as its pose message tells it."""
+
+    schema_name: ClassVar[str] = "fleet.pair_error.v1"
+    other: Name
+    rmse_m: NonNegative
+    verdict: Verdict
+
+
+class RobotPose(Message):
+    """`pose/<id>`: where a robot is in the fleet frame."""
+
+    schema_name: ClassVar[str] = "fleet.pose.v1"
+    robot: Name
+    view: ViewName = Field(description="the view whose moment this pose is of")
+    stamp_ns: int = Field(description="of that view, robot's clock")
+    T_fleet_robot: Pose
+    covariance: Matrix6 = Field(description="left perturbation of T_fleet_robot, rotation first")
+    component: Name = Field(description="the anchor of its component: poses compare only within one")
+    located: bool = Field(description="joined to the fleet's anchor, fresh, and sure enough")
+    verdict: Verdict = Field(description="of its weakest link to the component's anchor")
+    gauge_revision: Count
+    jumped: bool = Field(description="moved by more than its own motion and sigma since the last one")
+    age_s: NonNegative = Field(description="of the view, by the server's clock, when sent")
+    valid_until_ns: int = Field(description="robot's clock; afterwards the pose is stale")
+    errors: tuple[PairError, ...] = ()
+    server_epoch: Epoch
+    n: Count = Field(description="counts up per robot and server epoch")
+
+
+class Alignment(Message):
+    """`pair/<i>/<j>/alignment`: the newest alignment of a pair, i < j."""
+
+    schema_name: ClassVar[str] = "fleet.alignment.v1"
+    view_i: ViewName
+    view_j: ViewName
+    T_i_j: Pose | None = Field(description="camera of view j in camera of view i; none if not found")
+    covariance: Matrix6 | None
+    information: Matrix6 | None
+    verdict: Verdict
+    reasons: tuple[Text, ...]
+    regression_error_m2: NonNegative
+    regression_count: Count
+    rmse_m: NonNegative
+    overlap: NonNegative
+    inliers: Count
+    start: Name = Field(description="the start it grew from: operator, previous, graph, features")
+    timings_ms: dict[str, NonNegative]
+    server_epoch: Epoch
+    n: Count
+
+
+CorrespondenceStatus = Literal["accepted", "outlier", "unused"]
+
+
+class Correspondence(Message):
+    """One point clicked in two images."""
+
+    schema_name: ClassVar[str] = "fleet.correspondence.v1"
+    id: Count
+    operator: Name
+    view_i: ViewName
+    view_j: ViewName
+    pixel_i: Pixel
+    pixel_j: Pixel
+    status: CorrespondenceStatus = "unused"
+    residual_m: NonNegative | None = Field(default=None, description="|p_i - T_i_j p_j|")
+    residual_px: NonNegative | None = Field(default=None, description="in image i")
+    revision: Count = 0
+
+
+class PairCorrespondences(Message):
+    """`pair/<i>/<j>/correspondences`: the authoritative set of a pair, i < j."""
+
+    schema_name: ClassVar[str] = "fleet.pair_correspondences.v1"
+    i: Name
+    j: Name
+    revision: Count
+    items: tuple[Correspondence, ...]
+    server_epoch: Epoch
+
+
+class OperatorUpdate(Message):
+    """`operator/<op>/correspondences`: one numbered change, repeated until a receipt covers it."""
+
+    schema_name: ClassVar[str] = "fleet.operator_update.v1"
+    operator: Name
+    session: Epoch = Field(description="one life of the operator's client")
+    n: Annotated[int, Field(ge=1, lt=2**63)] = Field(description="1, 2, 3, ... within the session")
+    action: Literal["add", "move", "erase", "clear"]
+    i: Name
+    j: Name
+    base_revision: Count = Field(description="revision of the correspondence (or set) acted on")
+    correspondence: Count | None = Field(default=None, description="id, for move and erase")
+    view_i: ViewName | None = None
+    view_j: ViewName | None = None
+    pixel_i: Pixel | None = None
+    pixel_j: Pixel | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> "OperatorUpdate":
+        places = (self.view_i, self.view_j, self.pixel_i, self.pixel_j)
+        if self.action in ("add", "move") and any(place is None for place in places):
+            raise ValueError(f"'{self.action}' needs both views and both pixels")
+        if self.action in ("move", "erase") and self.correspondence is None:
+            raise ValueError(f"'{self.action}' needs the id of a correspondence")
+        return self
+
+
+class Rejection(Message):
+    """Why an update was not accepted; final like an acceptance."""
+
+    schema_name: ClassVar[str] = "fleet.rejection.v1"
+    n: Count
+    reason: Text
+
+
+class Receipts(Message):
+    """`operator/<op>/receipts`: all updates of the session up to n are final and in the journal."""
+
+    schema_name: ClassVar[str] = "fleet.receipts.v1"
+    operator: Name
+    session: Epoch
+    n: Count
+    rejections: tuple[Rejection, ...] = Field(description="the newest 100")
+    server_epoch: Epoch
+
+
+class Selection(Message):
+    """`operator/<op>/selection`: the pair on the operator's screen; its frozen views are kept."""
+
+    schema_name: ClassVar[str] = "fleet.selection.v1"
+    operator: Name
+    session: Epoch
+    i: Name | None
+    j: Name | None
+    view_i: ViewName | None = None
+    view_j: ViewName | None = None
+
+
+class PairCell(Message):
+    """One cell of the error matrix, i < j."""
+
+    schema_name: ClassVar[str] = "fleet.pair_cell.v1"
+    i: Name
+    j: Name
+    state: Literal["untried", "through_others", "tried"]
+    verdict: Verdict | None = None
+    rmse_m: NonNegative | None = None
+    regression_error_m2: NonNegative | None = None
+    regression_count: Count = 0
+    overlap: NonNegative = 0.0
+    age_s: NonNegative = 0.0
+    correspondences: Count = 0
+
+
+class Question(Message):
+    """What the operator is asked, best first."""
+
+    schema_name: ClassVar[str] = "fleet.question.v1"
+    i: Name
+    j: Name
+    view_i: ViewName
+    view_j: ViewName
+    reason: Text
+    gain: NonNegative = Field(description="expected drop of the fleet's position sigma, m per click")
+
+
+class RobotState(Message):
+    """One robot in the fleet's state."""
+
+    schema_name: ClassVar[str] = "fleet.robot_state.v1"
+    robot: Name
+    alive: bool
+    newest_view: ViewName | None
+    views_kept: Count
+    pose: RobotPose | None
+    why_not: Text = Field(description="why it is not located; empty if it is")
+
+
+class FleetState(Message):
+    """`fleet/state`: everything a late client needs, at a steady rate."""
+
+    schema_name: ClassVar[str] = "fleet.state.v1"
+    server_epoch: Epoch
+    n: Count
+    stamp_ns: int
+    anchor: Name | None
+    gauge_revision: Count
+    up_assumed: bool
+    robots: tuple[RobotState, ...]
+    pairs: tuple[PairCell, ...]
+    questions: tuple[Question, ...]
+    events: tuple[Text, ...] = Field(description="the newest 20, oldest first")
+
+
+class ServerStatus(Message):
+    """`server/status`: load, queue and drops."""
+
+    schema_name: ClassVar[str] = "fleet.status.v1"
+    server_epoch: Epoch
+    uptime_s: NonNegative
+    views: Count
+    alignments: Count
+    solves: Count
+    pending_jobs: Count
+    workers: Count
+    pairs_per_s: NonNegative
+    other_cpu_ms_per_view: NonNegative
+    max_pair_wait_s: NonNegative
+    drops: dict[str, Count] = Field(description="count by reason")
+    version: Text
+
+
+class RelativePose(Message):
+    """Reply of `server/relative?from=a;to=b`."""
+
+    schema_name: ClassVar[str] = "fleet.relative_pose.v1"
+    a: Name
+    b: Name
+    T_a_b: Pose = Field(description="robot body frames")
+    covariance: Matrix6
+    age_s: NonNegative
+    through: tuple[Name, ...]
+
+
+MESSAGES: tuple[type[Message], ...] = tuple(
+    value
+    for value in list(globals().values())
+    if isinstance(value, type) and issubclass(value, Message) and value is not Message
+)
+"""Every message class; tests walk it."""
+
+ROBOT_FROM_CAMERA = np.array(
+    [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+"""`T_robot_camera` of a camera that looks along the robot's x axis (body: x forward, y left, z up)."""

@@ -1,0 +1,337 @@
+"""The only file of the protocol that touches zenoh: opening sessions, and publishers and subscribers per kind of stream.
+
+Three facts shape it. A slow subscriber grows a queue unless it keeps the newest sample per key only. Nothing heavy may
+happen in a callback. Puts can be lost silently, so latched and repeated streams carry their own numbers.
+"""
+
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import zenoh
+from zenoh import ext
+
+from protocol.errors import UnreachableError
+
+ENCODING_JPEG = "image/jpeg"
+
+
+@dataclass(frozen=True)
+class SessionSettings:
+    """How to reach the router.
+
+    Attributes:
+        connect: endpoints of the router, e.g. `tcp/127.0.0.1:7447`.
+        listen: endpoints to listen on; with some, the session is itself a router.
+        config_file: a zenoh configuration (JSON5) that replaces both, for TLS and access control.
+        timeout_s: how long to wait for the router; negative waits forever.
+    """
+
+    connect: tuple[str, ...] = ()
+    listen: tuple[str, ...] = ()
+    config_file: Path | None = None
+    timeout_s: float = 10.0
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What a subscriber or a query receives, detached from zenoh."""
+
+    key: str
+    payload: bytes
+    encoding: str
+    attachment: bytes | None = None
+
+
+def open_session(settings: SessionSettings) -> zenoh.Session:
+    """Opens a session: a client of a router, or a router where `listen` names endpoints.
+
+    Raises:
+        UnreachableError: no router answered in time, or the endpoint is taken.
+    """
+    if settings.config_file is not None:
+        config = zenoh.Config.from_file(str(settings.config_file))
+    else:
+        config = zenoh.Config()
+        for key, value in {
+            "mode": "router" if settings.listen else "client",
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": False,
+            "listen/endpoints": list(settings.listen),
+            "connect/endpoints": list(settings.connect),
+            "connect/timeout_ms": int(settings.timeout_s * 1000),
+            "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000},
+            "transport/shared_memory/enabled": False,
+            "transport/link/tx/lease": 2000,
+            "timestamping/enabled": True,
+        }.items():
+            config.insert_json5(key, json.dumps(value))
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        where = settings.config_file or ", ".join(settings.connect + settings.listen)
+        raise UnreachableError(f"no zenoh router at {where}: {error}") from error
+
+
+def free_port() -> int:
+    """A free TCP port on the loopback interface."""
+    import socket
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Slots:
+    """The newest sample per key; a reader never sees an older one and nothing queues up."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._slots: dict[str, Sample] = {}
+        self._closed = False
+        self.replaced = 0
+
+    def store(self, sample: Sample) -> None:
+        with self._changed:
+            self.replaced += sample.key in self._slots
+            self._slots[sample.key] = sample
+            self._changed.notify()
+
+    def take(self, timeout_s: float | None = None) -> Sample | None:
+        """The sample of the key that waits longest, or None after the timeout or when closed."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._slots or self._closed, timeout_s)
+            if not self._slots:
+                return None
+            return self._slots.pop(next(iter(self._slots)))
+
+    def close(self) -> None:
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+
+@dataclass
+class Publisher:
+    """A declared publisher; `put` takes bytes and an encoding."""
+
+    _inner: Any
+
+    def put(self, payload: bytes, encoding: str, attachment: bytes | None = None) -> None:
+        self._inner.put(payload, encoding=zenoh.Encoding(encoding), attachment=attachment)
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anybody subscribes at present."""
+        return bool(self._inner.matching_status.matching)
+
+
+@dataclass
+class Link:
+    """A session with the project's streams; close it in a `finally`, else the process may not end."""
+
+    session: zenoh.Session
+    _declared: list[Any] = field(default_factory=list)
+
+    def bulk(self, key: str, background: bool = False) -> Publisher:
+        """For clouds and images: reliable, waits for the link, never in the way of poses. Use from one own thread."""
+        return Publisher(
+            self.session.declare_publisher(
+                key,
+                congestion_control=zenoh.CongestionControl.BLOCK_FIRST,
+                priority=zenoh.Priority.BACKGROUND if background else zenoh.Priority.DATA_LOW,
+                reliability=zenoh.Reliability.RELIABLE,
+            )
+        )
+
+    def latched(self, key: str, block: bool = False, history: int = 1) -> Publisher:
+        """For poses, state and updates: a late subscriber gets the last ones, a lost one is sent again.
+
+        With `block` false a reader that is too slow loses samples instead of holding up the others.
+        """
+        return Publisher(
+            ext.declare_advanced_publisher(
+                self.session,
+                key,
+                cache=ext.CacheConfig(max_samples=history),
+                sample_miss_detection=ext.MissDetectionConfig(
+                    heartbeat=None, sporadic_heartbeat=0.5
+                ),
+                publisher_detection=True,
+                congestion_control=zenoh.CongestionControl.BLOCK
+                if block
+                else zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.INTERACTIVE_HIGH,
+                express=True,
+            )
+        )
+
+    def on_bulk(self, key_expr: str) -> Slots:
+        """Subscribes to clouds or images, keeping the newest per key."""
+        slots = Slots()
+        self._declared.append(
+            self.session.declare_subscriber(key_expr, lambda sample: slots.store(_detached(sample)))
+        )
+        return slots
+
+    def on_latched(self, key_expr: str, callback: Callable[[Sample], None]) -> None:
+        """Subscribes with history and recovery; the callback must only store."""
+        self._declared.append(
+            ext.declare_advanced_subscriber(
+                self.session,
+                key_expr,
+                lambda sample: callback(_detached(sample)),
+                history=ext.HistoryConfig(detect_late_publishers=True),
+                recovery=ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
+                subscriber_detection=True,
+            )
+        )
+
+    def subscribe_bulk(self, key: str, slots: Slots) -> Any:
+        """Subscribes to one more key into given slots; undeclare what is returned to end it."""
+        return self.session.declare_subscriber(key, lambda sample: slots.store(_detached(sample)))
+
+    def token(self, key: str) -> None:
+        """Shows this process as alive under a key until the session ends."""
+        self._declared.append(self.session.liveliness().declare_token(key))
+
+    def on_alive(self, key_expr: str, callback: Callable[[str, bool], None]) -> None:
+        """Calls back with (key, alive) for tokens that are there, come and go; the callback must only store."""
+        self._declared.append(
+            self.session.liveliness().declare_subscriber(
+                key_expr,
+                lambda sample: callback(
+                    str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
+                ),
+                history=True,
+            )
+        )
+
+    def alive(self, key_expr: str, timeout_s: float = 2.0) -> list[str]:
+        """Keys of the tokens that are there now."""
+        replies = self.session.liveliness().get(key_expr, timeout=timeout_s)
+        return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+
+    def queryable(self, key: str, answer: Callable[[dict[str, str]], "Answer"]) -> None:
+        """Answers queries `key?a=b;c=d` one after the other in a thread of their own."""
+        queries = _Queries(key, answer)
+        self._declared.append(self.session.declare_queryable(key, queries.store))
+        self._declared.append(queries)
+        queries.start()
+
+    def query(self, selector: str, timeout_s: float = 3.0) -> Sample:
+        """Asks for one answer.
+
+        Raises:
+            UnreachableError: nobody answered, or the answer was an error, whose text it carries.
+        """
+        reason = "nobody answered (not there, or not allowed)"
+        for reply in self.session.get(selector, timeout=timeout_s):
+            if reply.ok is not None:
+                return _detached(reply.ok)
+            if reply.err is not None:
+                reason = reply.err.payload.to_string()
+        raise UnreachableError(f"{selector}: {reason}")
+
+    def close(self) -> None:
+        for declared in self._declared:
+            if isinstance(declared, _Queries):
+                declared.close()
+        with suppress(zenoh.ZError):
+            self.session.close()
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a queryable replies: a payload, or the reason why not."""
+
+    payload: bytes = b""
+    encoding: str = ""
+    attachment: bytes | None = None
+    error: str | None = None
+
+
+class _Queries(threading.Thread):
+    def __init__(self, key: str, answer: Callable[[dict[str, str]], Answer]) -> None:
+        super().__init__(name=f"queries {key}", daemon=True)
+        self._key = key
+        self._answer = answer
+        self._changed = threading.Condition()
+        self._waiting: list[zenoh.Query] | None = []
+
+    def store(self, query: zenoh.Query) -> None:
+        with self._changed:
+            if self._waiting is not None:
+                self._waiting.append(query)
+                self._changed.notify()
+
+    def close(self) -> None:
+        with self._changed:
+            self._waiting = None
+            self._changed.notify()
+
+    def run(self) -> None:
+        for query in self._next():
+            try:
+                parameters = dict(query.parameters)
+                answer = self._answer({str(k): str(v) for k, v in parameters.items()})
+                if answer.error is not None:
+                    query.reply_err(answer.error.encode(), encoding=zenoh.Encoding.TEXT_PLAIN)
+                else:
+                    query.reply(
+                        self._key,
+                        answer.payload,
+                        encoding=zenoh.Encoding(answer.encoding),
+                        attachment=answer.attachment,
+                    )
+            except zenoh.ZError:  # the session ended, or who asked has left
+                continue
+            finally:
+                query.drop()
+
+    def _next(self) -> Iterator[zenoh.Query]:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting is None or self._waiting)
+                if self._waiting is None:
+                    return
+                query = self._waiting.pop(0)
+            yield query
+
+
+def _detached(sample: zenoh.Sample) -> Sample:
+    return Sample(
+        str(sample.key_expr),
+        sample.payload.to_bytes(),
+        str(sample.encoding),
+        None if sample.attachment is None else sample.attachment.to_bytes(),
+    )
+
+
+def run_router(endpoint: str, stop: threading.Event) -> None:
+    """Runs a router until the event is set.
+
+    Raises:
+        UnreachableError: the endpoint is taken.
+    """
+    session = open_session(SessionSettings(listen=(endpoint,)))
+    try:
+        while not stop.wait(0.5):
+            pass
+    finally:
+        session.close()
+
+
+def wait_until(condition: Callable[[], bool], timeout_s: float, poll_s: float = 0.02) -> bool:
+    """Polls a condition; whether it came true in time."""
+    end = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(poll_s)
+    return True

@@ -1,0 +1,1 @@
+"""The robot: camera to points to the wire, and its pose back."""

@@ -1,0 +1,1 @@
+"""Cameras, one file each, behind the protocol of `robot_agent.cameras.base`."""
