@@ -16,9 +16,9 @@ def checked_name(name: str) -> str:
     """Returns the name if it may be a chunk of a key.
 
     Raises:
-        NameRefusedError: it is empty, longer than 32 or holds other characters than a-z, 0-9, _ and -.
+        NameRefusedError: it is empty, longer than 32 or holds more than a-z, 0-9, _ and -.
     """
-    if not _NAME.match(name):
+    if not _NAME.fullmatch(name):
         raise NameRefusedError(f"'{name}' is no name: use 1 to 32 of a-z, 0-9, '_' and '-'")
     return name
 

@@ -24,7 +24,7 @@ Text = Annotated[str, Field(max_length=2000)]
 Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
 
 
-class ViewName(Message):
+class ViewName(Message, frozen=True):
     """One moment of one robot: image and cloud of it carry the same name."""
 
     schema_name: ClassVar[str] = "fleet.view_name.v1"
@@ -102,7 +102,9 @@ class DepthCloud(Message):
         default=1, description="full-resolution pixels per cloud pixel"
     )
     coding: Literal["depth", "disparity"]
-    step: Positive = Field(description="quantum: metres for depth, full-resolution px for disparity")
+    step: Positive = Field(
+        description="quantum: metres for depth, full-resolution px for disparity"
+    )
     focal_baseline_px_m: Positive | None = Field(
         default=None, description="z = focal_baseline / disparity; only for disparity"
     )
@@ -199,11 +201,15 @@ class RobotPose(Message):
     stamp_ns: int = Field(description="of that view, robot's clock")
     T_fleet_robot: Pose
     covariance: Matrix6 = Field(description="left perturbation of T_fleet_robot, rotation first")
-    component: Name = Field(description="the anchor of its component: poses compare only within one")
+    component: Name = Field(
+        description="the anchor of its component: poses compare only within one"
+    )
     located: bool = Field(description="joined to the fleet's anchor, fresh, and sure enough")
     verdict: Verdict = Field(description="of its weakest link to the component's anchor")
     gauge_revision: Count
-    jumped: bool = Field(description="moved by more than its own motion and sigma since the last one")
+    jumped: bool = Field(
+        description="moved by more than its own motion and sigma since the last one"
+    )
     age_s: NonNegative = Field(description="of the view, by the server's clock, when sent")
     valid_until_ns: int = Field(description="robot's clock; afterwards the pose is stale")
     errors: tuple[PairError, ...] = ()
@@ -217,7 +223,9 @@ class Alignment(Message):
     schema_name: ClassVar[str] = "fleet.alignment.v1"
     view_i: ViewName
     view_j: ViewName
-    T_i_j: Pose | None = Field(description="camera of view j in camera of view i; none if not found")
+    T_i_j: Pose | None = Field(
+        description="camera of view j in camera of view i; none if not found"
+    )
     covariance: Matrix6 | None
     information: Matrix6 | None
     verdict: Verdict
@@ -346,7 +354,9 @@ class Question(Message):
     view_i: ViewName
     view_j: ViewName
     reason: Text
-    gain: NonNegative = Field(description="expected drop of the fleet's position sigma, m per click")
+    gain: NonNegative = Field(
+        description="expected drop of the fleet's position sigma, m per click"
+    )
 
 
 class RobotState(Message):

@@ -90,10 +90,11 @@ def free_port() -> int:
 class Slots:
     """The newest sample per key; a reader never sees an older one and nothing queues up."""
 
-    def __init__(self) -> None:
+    def __init__(self, wake: Callable[[], None] | None = None) -> None:
         self._changed = threading.Condition()
         self._slots: dict[str, Sample] = {}
         self._closed = False
+        self._wake = wake
         self.replaced = 0
 
     def store(self, sample: Sample) -> None:
@@ -101,6 +102,8 @@ class Slots:
             self.replaced += sample.key in self._slots
             self._slots[sample.key] = sample
             self._changed.notify()
+        if self._wake is not None:
+            self._wake()
 
     def take(self, timeout_s: float | None = None) -> Sample | None:
         """The sample of the key that waits longest, or None after the timeout or when closed."""
@@ -171,9 +174,9 @@ class Link:
             )
         )
 
-    def on_bulk(self, key_expr: str) -> Slots:
-        """Subscribes to clouds or images, keeping the newest per key."""
-        slots = Slots()
+    def on_bulk(self, key_expr: str, wake: Callable[[], None] | None = None) -> Slots:
+        """Subscribes to clouds or images, keeping the newest per key; `wake` is called after each, and must be quick."""
+        slots = Slots(wake)
         self._declared.append(
             self.session.declare_subscriber(key_expr, lambda sample: slots.store(_detached(sample)))
         )
@@ -205,9 +208,7 @@ class Link:
         self._declared.append(
             self.session.liveliness().declare_subscriber(
                 key_expr,
-                lambda sample: callback(
-                    str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
-                ),
+                lambda sample: callback(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT),
                 history=True,
             )
         )

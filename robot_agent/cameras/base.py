@@ -23,7 +23,10 @@ class DepthImage:
 
 @dataclass(frozen=True)
 class DisparityImage:
-    """Organised disparity: (H, W) float32 pixels, nan or <= 0 where there is none; z = focal_baseline / disparity."""
+    """Organised disparity: (H, W) float32 pixels, nan or <= 0 where there is none.
+
+    z = focal_baseline / disparity.
+    """
 
     disparity_px: npt.NDArray[np.float32]
     focal_baseline_px_m: float
@@ -65,7 +68,7 @@ class Camera(Protocol):
     """A source of frames; one file per kind."""
 
     def frames(self) -> Iterator[Frame]:
-        """Yields frames as the camera has them; the agent sets the pace, an endless camera never ends."""
+        """Yields frames as the camera has them; the agent sets the pace."""
         ...
 
     def close(self) -> None:

@@ -1,0 +1,36 @@
+# Two commands do everything on a fresh machine: `make demo` and `make test`.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.PHONY: help setup demo test lint format clean
+
+help: ## Shows what there is.
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+setup: $(READY) ## Makes the environment in .venv.
+
+$(READY): pyproject.toml constraints.txt scripts/venv.sh
+	@PYTHON="$(PYTHON)" sh scripts/venv.sh "$(VENV)"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+demo: $(READY) ## Six robots around a building find each other; q ends it.
+	@$(BIN)/python -m evaluation demo
+
+test: $(READY) lint ## Lint, types, import rules and all tests.
+	@$(BIN)/python -m pytest
+
+lint: $(READY) ## ruff, pyright and the import rules.
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/pyright --pythonpath $(BIN)/python
+	@$(BIN)/lint-imports --no-cache
+
+format: $(READY) ## Formats the code.
+	@$(BIN)/ruff check --fix .
+	@$(BIN)/ruff format .
+
+clean: ## Removes the environment and what tools leave.
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache .hypothesis

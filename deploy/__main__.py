@@ -1,0 +1,87 @@
+"""`pose-deploy`: run a fleet of processes on this machine."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    help="Put a fleet into operation.",
+    rich_markup_mode=None,
+)
+
+
+@app.callback()
+def _commands() -> None:
+    """Put a fleet into operation."""
+
+
+@app.command()
+def local(
+    robots: Annotated[
+        list[str],
+        typer.Option(
+            help="NAME=CAMERA:DATA, once per robot, e.g. r1=rgbd:recordings/kitchen",
+            metavar="ROBOT",
+        ),
+    ],
+    site: Annotated[str, typer.Option(help="Site in all keys.")] = "demo",
+    rate: Annotated[float, typer.Option(help="Views per second of each robot.")] = 1.0,
+    replay: Annotated[str, typer.Option(help="once, loop, pingpong or hold.")] = "pingpong",
+    workers: Annotated[int, typer.Option(help="Alignment processes of the server.")] = 2,
+    directory: Annotated[
+        Path, typer.Option(help="For logs and the server's state.", file_okay=False)
+    ] = Path("fleet"),
+) -> None:
+    """Run router, pose server and robots on this machine until Ctrl-C."""
+    from deploy.local_fleet import LocalFleet, wait_running
+
+    sources = [robot_source(text) for text in robots]
+    with LocalFleet(directory, site) as fleet:
+        fleet.start_router()
+        fleet.start_server("--workers", str(workers))
+        for name, camera, data in sources:
+            fleet.start_robot(name, camera, data, "--rate", str(rate), "--replay", replay)
+        print(f"{len(sources)} robots, logs in {directory}. Ctrl-C ends all. To watch:")
+        print(f"  hmi-client screen --connect {fleet.endpoint} --site {site}", flush=True)
+        wait_running(fleet, lambda: False, float("inf"))
+
+
+def robot_source(text: str) -> tuple[str, str, str]:
+    """Name, camera and data of `NAME=CAMERA:DATA`.
+
+    Raises:
+        NameRefusedError: it is not of that form.
+    """
+    from protocol.errors import NameRefusedError
+    from protocol.keys import checked_name
+
+    name, equals, source = text.partition("=")
+    camera, colon, data = source.partition(":")
+    if not (equals and colon and camera and data):
+        raise NameRefusedError(f"--robots '{text}': write NAME=CAMERA:DATA, e.g. r1=rgbd:kitchen")
+    return checked_name(name), camera, data
+
+
+def main() -> None:
+    """Runs the command; errors that a user can mend are one sentence and exit code 2."""
+    from protocol.errors import FleetPoseError
+
+    try:
+        app()
+    except FleetPoseError as error:
+        sys.exit(_refused(str(error)))
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def _refused(sentence: str) -> int:
+    print(f"pose-deploy: {sentence}", file=sys.stderr)
+    return 2
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,115 @@
+"""`pose-eval`: measures everything against ground truth."""
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, rich_markup_mode=None)
+
+
+class CloudsOption(StrEnum):
+    """Kinds of clouds of a posed-views folder."""
+
+    sparse = "sparse"
+    sparse_noisy = "sparse_noisy"
+    stereo_pair_sparse = "stereo_pair_sparse"
+    stereo_dense = "stereo_dense"
+
+
+Data = Annotated[Path, typer.Option(help="Posed-views or RGB-D folder with ground truth.")]
+Clouds = Annotated[
+    CloudsOption | None,
+    typer.Option(help="Clouds of a posed-views folder; sparse_noisy if not told."),
+]
+Out = Annotated[Path, typer.Option(help="Folder for the results; it is made.")]
+
+
+@app.callback()
+def _commands() -> None:
+    """Measure the system against ground truth."""
+
+
+@app.command()
+def pairs(
+    data: Data,
+    out: Out,
+    clouds: Clouds = None,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    limit: Annotated[int | None, typer.Option(min=1, help="So many pairs, spread evenly.")] = None,
+) -> None:
+    """Align every pair of a recording, automatically, and compare with the truth."""
+    from evaluation.pairs import run
+
+    run(data, clouds.value if clouds else None, out, workers, limit)
+
+
+@app.command()
+def fleet(
+    out: Out,
+    robots: Annotated[int, typer.Option(min=2, help="How many.")] = 6,
+    seconds: Annotated[float, typer.Option(help="After all processes are up; more than 20.")] = 60,
+    data: Annotated[
+        Path | None, typer.Option(help="Recording with ground truth; else the synthetic world.")
+    ] = None,
+    clouds: Clouds = None,
+    first: Annotated[int, typer.Option(help="Posed views: the first of consecutive views.")] = 0,
+    skip_pairs: Annotated[
+        Path | None, typer.Option(help="Lines 'r1 r2': pairs left to the operator.")
+    ] = None,
+    clicks_per_minute: Annotated[float, typer.Option(min=0, help="Simulated operator.")] = 0.0,
+    workers: Annotated[int, typer.Option(min=1, help="Alignment processes.")] = 2,
+    moving: Annotated[bool, typer.Option("--moving", help="Synthetic robots walk.")] = False,
+) -> None:
+    """Run a live fleet on a recording or in the synthetic world and score its poses."""
+    from evaluation.fleet import FleetOptions, run
+
+    options = FleetOptions(
+        robots=robots,
+        seconds=seconds,
+        data=data,
+        clouds=clouds.value if clouds else None,
+        first=first,
+        skip_pairs=skip_pairs,
+        clicks_per_minute=clicks_per_minute,
+        workers=workers,
+        moving=moving,
+    )
+    run(options, out)
+
+
+@app.command()
+def demo(
+    robots: Annotated[int, typer.Option(min=2, help="How many.")] = 6,
+    seconds: Annotated[float, typer.Option(help="At most, without a screen.")] = 90,
+    headless: Annotated[bool, typer.Option("--headless", help="Without a screen.")] = False,
+) -> None:
+    """Run a fleet in the synthetic world: on a terminal with the operator's screen."""
+    from evaluation.demo import run, without_screen
+
+    raise typer.Exit(run(robots, seconds, without_screen(headless)))
+
+
+def main() -> None:
+    """Runs the command; errors that a user can mend are one sentence and exit code 2."""
+    from protocol.errors import FleetPoseError
+
+    try:
+        app()
+    except FleetPoseError as error:
+        print(f"pose-eval: {error}", file=sys.stderr)
+        sys.exit(2)
+    except ModuleNotFoundError as error:
+        print(
+            f"pose-eval: {error.name} is not installed: pip install 'fleetpose[eval]'",
+            file=sys.stderr,
+        )
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,290 @@
+"""`pose-eval fleet`: live processes on a recording or in the synthetic world, against the truth."""
+
+import random
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from deploy.local_fleet import LocalFleet, wait_running
+from evaluation.datasets import CloudKind, Recording, TrueView, in_ring_order, open_recording
+from evaluation.fleet_report import FleetResult, write_results
+from evaluation.fleet_scoring import PoseNow, SampleRow, score_sample
+from evaluation.memory import Memory
+from evaluation.observer import Observer
+from evaluation.operator import SimulatedOperator
+from evaluation.report import output_folder, progress_bar
+from evaluation.strip import StrippedFolder, random_name, strip
+from evaluation.truth import RecordedTruth, Truth, WorldTruth
+from protocol.errors import DataFolderError, FleetPoseError
+from protocol.keys import Keys
+from protocol.transport import Link, SessionSettings, free_port, open_session, wait_until
+
+FIRST_SAMPLE_S = 20.0
+STARTED_WITHIN_S = 120.0
+
+
+@dataclass(frozen=True)
+class RobotPlan:
+    """How one robot is started."""
+
+    name: str
+    camera: str
+    data: str
+    options: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class FleetPlan:
+    """Which robots run, in the order r1, r2, ... of the recording, and what is true of them."""
+
+    robots: tuple[RobotPlan, ...]
+    truth: Truth
+    world: tuple[str, ...] = ()  # arguments of the world's process, if there is one
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(robot.name for robot in self.robots)
+
+
+@dataclass(frozen=True)
+class FleetOptions:
+    """What `pose-eval fleet` is asked for."""
+
+    robots: int
+    seconds: float
+    data: Path | None = None
+    clouds: CloudKind | None = None
+    first: int = 0
+    skip_pairs: Path | None = None
+    clicks_per_minute: float = 0.0
+    workers: int = 2
+    moving: bool = False
+    seed: int = 0
+
+
+@dataclass
+class _Watch:
+    """What is noted while the fleet runs."""
+
+    rows: list[SampleRow] = field(default_factory=list)
+    memory: Memory = field(default_factory=Memory)
+
+
+def run(options: FleetOptions, out: Path) -> dict[str, Any]:
+    """Runs a fleet, scores its published poses every second from 20 s on; returns the summary.
+
+    Raises:
+        FleetPoseError: the data cannot be used, or a process ended.
+    """
+    if options.seconds <= FIRST_SAMPLE_S:
+        raise FleetPoseError(
+            f"--seconds {options.seconds:g}: poses are scored from 20 s on, give more"
+        )
+    for old in output_folder(out).glob("logs/*.log"):
+        old.unlink()
+    watch = _Watch()
+    with tempfile.TemporaryDirectory(prefix="fleetpose-") as scratch:
+        plan = plan_fleet(options, Path(scratch))
+        skip = named_skip_pairs(options.skip_pairs, plan.names, Path(scratch))
+        with LocalFleet(out / "logs") as fleet:
+            start(fleet, plan, options.workers, Path(scratch) / "state", skip)
+            link = open_link(fleet)
+            observer = Observer(link, Keys(fleet.site))
+            operator = None
+            try:
+                started_s = wait_started(fleet, observer, len(plan.robots))
+                if options.clicks_per_minute > 0:
+                    operator = SimulatedOperator(
+                        link, Keys(fleet.site), observer, plan.truth, options.clicks_per_minute
+                    )
+                    operator.start()
+                _watch(fleet, observer, plan, started_s, options.seconds, watch)
+            finally:
+                if operator is not None:
+                    operator.close()
+                observer.close()
+                link.close()
+        result = FleetResult(
+            robots=plan.names,
+            rows=watch.rows,
+            observer=observer,
+            operator=operator,
+            memory=watch.memory,
+            started_s=started_s,
+            median_depth_m=plan.truth.median_depth_m(),
+            rgbd=plan.truth.rgbd,
+            leftover_processes=fleet.leftover_processes(),
+        )
+    return write_results(out, result)
+
+
+def plan_fleet(options: FleetOptions, scratch: Path) -> FleetPlan:
+    """Robots with random names on stripped folders of a recording, or in a synthetic world."""
+    rng = random.Random()
+    names = distinct_names(options.robots, rng)
+    if options.data is None:
+        return plan_world(names, scratch, options.moving, options.seed)
+    recording = open_recording(options.data, options.clouds)
+    parts = parts_of(recording, options.robots, options.first)
+    folders = {
+        name: strip(recording, part, scratch / name, rng)
+        for name, part in zip(names, parts, strict=True)
+    }
+    replay = ("--replay", "pingpong" if recording.is_rgbd else "hold")
+    return FleetPlan(
+        tuple(_replaying(name, folder, replay) for name, folder in folders.items()),
+        RecordedTruth(recording, folders),
+    )
+
+
+def plan_world(names: Sequence[str], scratch: Path, moving: bool, seed: int) -> FleetPlan:
+    """Robots in the synthetic world, which runs in a process of its own."""
+    listen = f"127.0.0.1:{free_port()}"
+    truth_file = scratch / "truth"
+    world = ["world", "--robots", str(len(names)), "--listen", listen, "--seed", str(seed)]
+    world += ["--truth-file", str(truth_file), *(["--moving"] if moving else [])]
+    places = {name: f"r{number + 1}" for number, name in enumerate(names)}
+    robots = tuple(
+        RobotPlan(name, "synthetic", f"{listen}/{place}") for name, place in places.items()
+    )
+    return FleetPlan(robots, WorldTruth(truth_file, places), tuple(world))
+
+
+def parts_of(recording: Recording, robots: int, first: int) -> list[list[TrueView]]:
+    """What each robot sees: one of consecutive views, or one of equal contiguous stretches.
+
+    Raises:
+        DataFolderError: the recording has too few views.
+    """
+    views = in_ring_order(recording.usable)
+    if recording.is_rgbd:
+        length = len(views) // robots
+        if not length:
+            raise DataFolderError(f"{len(views)} frames cannot be shared among {robots} robots")
+        return [list(views[k * length : (k + 1) * length]) for k in range(robots)]
+    if not 0 <= first < len(views) or robots > len(views):
+        raise DataFolderError(
+            f"{robots} robots from view {first} on: {recording.directory} has {len(views)} views"
+        )
+    ring = any(view.ring_angle_deg is not None for view in views)
+    if not ring and first + robots > len(views):
+        raise DataFolderError(f"only {len(views) - first} views from view {first} on")
+    return [[views[(first + k) % len(views)]] for k in range(robots)]
+
+
+def named_skip_pairs(path: Path | None, names: Sequence[str], scratch: Path) -> Path | None:
+    """Writes lines `r1 r2` (places from 1 on) with the robots' random names instead.
+
+    Raises:
+        DataFolderError: the file cannot be read, or names no such robot.
+    """
+    if path is None:
+        return None
+    places = {f"r{number + 1}": name for number, name in enumerate(names)}
+    try:
+        pairs = [line.split() for line in path.read_text().splitlines() if line.strip()]
+        lines = [f"{places[a]} {places[b]}" for a, b in pairs]
+    except (OSError, KeyError, ValueError) as error:
+        raise DataFolderError(
+            f"--skip-pairs {path}: {error!r}; write lines like 'r1 r2', up to r{len(names)}"
+        ) from error
+    named = scratch / "skip_pairs"
+    named.write_text("\n".join(lines) + "\n")
+    return named
+
+
+def start(
+    fleet: LocalFleet, plan: FleetPlan, workers: int, state: Path, skip_pairs: Path | None = None
+) -> None:
+    """Starts router, world, server and robots."""
+    fleet.start_router()
+    if plan.world:
+        fleet.start("world", "evaluation", *plan.world)
+    skip = () if skip_pairs is None else ("--skip-pairs", str(skip_pairs))
+    fleet.start_server("--workers", str(workers), *skip, state=state)
+    for robot in plan.robots:
+        fleet.start_robot(robot.name, robot.camera, robot.data, "--rate", "1", *robot.options)
+
+
+def open_link(fleet: LocalFleet) -> Link:
+    """The evaluation's own session."""
+    return Link(open_session(SessionSettings(connect=(fleet.endpoint,))))
+
+
+def wait_started(fleet: LocalFleet, observer: Observer, robots: int) -> float:
+    """Waits until server and robots show themselves alive; returns the monotonic time.
+
+    Raises:
+        ProcessEndedError: one of them ended.
+        FleetPoseError: they are not up within two minutes.
+    """
+    up = wait_running(
+        fleet,
+        lambda: observer.server_alive() and observer.alive_robots() == robots,
+        STARTED_WITHIN_S,
+    )
+    if not up:
+        raise FleetPoseError(
+            f"after {STARTED_WITHIN_S:.0f} s {observer.alive_robots()} of {robots} robots are up; "
+            f"the logs are in {fleet.directory}"
+        )
+    return time.monotonic()
+
+
+def poses_now(observer: Observer, truth: Truth) -> dict[str, PoseNow]:
+    """The newest pose of each robot beside the truth; a stale pose is not located."""
+    now_ns = time.time_ns()  # robots and evaluation share this machine's clock
+    poses = {}
+    for robot, seen_pose in observer.poses().items():
+        pose = seen_pose.pose
+        seen = observer.view(pose.view)
+        T_world_robot = None if seen is None else truth.T_world_robot(seen)
+        if T_world_robot is not None:
+            poses[robot] = PoseNow(
+                pose.T_fleet_robot,
+                pose.covariance,
+                pose.component,
+                pose.located and pose.valid_until_ns > now_ns,
+                T_world_robot,
+            )
+    return poses
+
+
+def _watch(
+    fleet: LocalFleet,
+    observer: Observer,
+    plan: FleetPlan,
+    started_s: float,
+    seconds: float,
+    watch: _Watch,
+) -> None:
+    with progress_bar() as progress:
+        task = progress.add_task("seconds", total=int(seconds))
+        for second in range(1, int(seconds) + 1):
+            wait_until(lambda end=started_s + second: time.monotonic() >= end, 2.0)
+            fleet.check()
+            watch.memory.note(fleet, plan.names)
+            if second >= FIRST_SAMPLE_S:
+                anchor = None if observer.state is None else observer.state.anchor
+                now = poses_now(observer, plan.truth)
+                watch.rows += score_sample(float(second), plan.names, now, anchor)
+            progress.update(task, completed=second, description=_doing(observer, plan))
+
+
+def _doing(observer: Observer, plan: FleetPlan) -> str:
+    return f"{observer.located_counts[-1][1]}/{len(plan.robots)} located"
+
+
+def _replaying(name: str, folder: StrippedFolder, replay: tuple[str, ...]) -> RobotPlan:
+    return RobotPlan(name, folder.camera, str(folder.path), replay)
+
+
+def distinct_names(count: int, rng: random.Random) -> list[str]:
+    """Random names for robots."""
+    names: dict[str, None] = {}
+    while len(names) < count:
+        names[random_name(rng)] = None
+    return list(names)

@@ -1,0 +1,148 @@
+"""The results of `pose-eval fleet`: summary, samples, map and table."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evaluation.fleet_scoring import SampleRow, positions, summarize_poses
+from evaluation.geometry import align_points, transform
+from evaluation.memory import Memory
+from evaluation.observer import Observer, first_time_located
+from evaluation.operator import SimulatedOperator
+from evaluation.report import (
+    COVARIANCE_COLUMNS,
+    POSE_COLUMNS,
+    new_figure,
+    pose_cells,
+    print_table,
+    write_csv,
+    write_summary,
+)
+from evaluation.scoring import Limits, percentile
+
+NEWEST_WINS = ("newer_view",)
+"""Reasons of drops that are meant: an older view gave way to a newer one."""
+SAMPLE_COLUMNS = (
+    "time_s",
+    "place",
+    "robot",
+    "anchor",
+    "located",
+    "position_error_m",
+    "rotation_error_deg",
+    "nees",
+    *POSE_COLUMNS,
+    *COVARIANCE_COLUMNS,
+)
+
+
+@dataclass(frozen=True)
+class FleetResult:
+    """Everything that was noted of a run."""
+
+    robots: tuple[str, ...]
+    rows: Sequence[SampleRow]
+    observer: Observer
+    operator: SimulatedOperator | None
+    memory: Memory
+    started_s: float
+    median_depth_m: float
+    rgbd: bool
+    leftover_processes: int
+
+
+def write_results(out: Path, result: FleetResult) -> dict[str, Any]:
+    """Writes summary.json, poses.csv and map.png; prints a table. Returns the summary."""
+    summary = summarize(result)
+    write_summary(out, summary)
+    places = {robot: f"r{number + 1}" for number, robot in enumerate(result.robots)}
+    write_csv(out / "poses.csv", SAMPLE_COLUMNS, (_cells(row, places) for row in result.rows))
+    plot_map(out / "map.png", result.rows, places)
+    shown = [(key, value) for key, value in summary.items() if not isinstance(value, list | dict)]
+    print_table("fleet", ("", ""), shown)
+    return summary
+
+
+def summarize(result: FleetResult) -> dict[str, Any]:
+    """The numbers of summary.json; null where nothing was there to be measured."""
+    observer, operator, memory = result.observer, result.operator, result.memory
+    robots, counts, since_s = len(result.robots), observer.located_counts, result.started_s
+    clicks_ms = [] if operator is None else [1e3 * s for s in operator.click_to_pose_s]
+    views_ms = [1e3 * s for s in observer.view_to_pose_s]
+    poses = summarize_poses(result.rows, Limits.of(result.median_depth_m, result.rgbd))
+    return {
+        **poses,
+        "median_depth_m": result.median_depth_m,
+        "first_solution_s": first_time_located(counts, min(2, robots), since_s),
+        "all_located_s": first_time_located(counts, robots, since_s),
+        "clicks": 0 if operator is None else operator.clicks,
+        "clicks_rejected": 0 if operator is None else len(operator.rejected),
+        "click_to_pose_ms_p50": percentile(clicks_ms, 50),
+        "click_to_pose_ms_p95": percentile(clicks_ms, 95),
+        "view_to_pose_ms_p50": percentile(views_ms, 50),
+        "view_to_pose_ms_p95": percentile(views_ms, 95),
+        **_of_the_server(observer),
+        "bytes_per_view": float(np.mean(observer.view_sizes)) if observer.view_sizes else None,
+        "agent_rss_mb": memory.agent_peak_mb(),
+        "server_rss_mb": memory.server_peak_mb(),
+        "server_rss_slope_mb_per_min": memory.server_slope_mb_per_min(),
+        "leftover_processes": result.leftover_processes,
+        "undecodable": observer.undecodable,
+    }
+
+
+def _of_the_server(observer: Observer) -> dict[str, Any]:
+    if not observer.statuses:
+        keys = ("pairs_per_s", "other_cpu_ms_per_view", "max_pair_wait_s", "dropped_other")
+        return dict.fromkeys(keys)
+    first_s, first = observer.statuses[0]
+    last_s, last = observer.statuses[-1]
+    elapsed_s = last_s - first_s
+    pairs = last.alignments - first.alignments
+    return {
+        "pairs_per_s": pairs / elapsed_s if elapsed_s > 0 else None,
+        "other_cpu_ms_per_view": last.other_cpu_ms_per_view,
+        "max_pair_wait_s": last.max_pair_wait_s,
+        "dropped_other": sum(n for why, n in last.drops.items() if why not in NEWEST_WINS),
+        "drops": last.drops,
+    }
+
+
+def plot_map(path: Path, rows: Sequence[SampleRow], places: dict[str, str]) -> None:
+    """True and estimated positions of the last sample, seen from where they spread most."""
+    last = [row for row in rows if row.time_s == rows[-1].time_s] if rows else []
+    last = [row for row in last if row.position_error_m is not None]
+    figure, axes = new_figure(7.0, 7.0)
+    axes.set(title="robots in the last sample", xlabel="m", ylabel="m", aspect="equal")
+    if last:
+        true = positions(row.T_world_robot for row in last)
+        found = positions(row.T_fleet_robot for row in last)
+        found = transform(align_points(true, found), found)
+        centre = true.mean(0)
+        plane = np.linalg.svd(true - centre, full_matrices=True)[2][:2]
+        xy_true, xy_found = (true - centre) @ plane.T, (found - centre) @ plane.T
+        axes.plot(*xy_true.T, "o", mfc="none", color="black", label="truth")
+        axes.plot(*xy_found.T, "x", color="tab:red", label="estimated, after one rigid fit")
+        for row, (x, y) in zip(last, xy_true, strict=True):
+            star = "*" if row.is_anchor else ""
+            axes.annotate(f" {places[row.robot]}{star}", (x, y), fontsize=8)
+        axes.legend()
+    axes.grid(alpha=0.3)
+    figure.savefig(path)
+
+
+def _cells(row: SampleRow, places: dict[str, str]) -> dict[str, Any]:
+    return {
+        **pose_cells(row.T_fleet_robot, row.covariance),
+        "time_s": row.time_s,
+        "place": places[row.robot],
+        "robot": row.robot,
+        "anchor": int(row.is_anchor),
+        "located": int(row.located),
+        "position_error_m": row.position_error_m,
+        "rotation_error_deg": row.rotation_error_deg,
+        "nees": row.nees,
+    }

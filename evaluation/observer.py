@@ -1,0 +1,228 @@
+"""Listens to a running fleet and notes what arrives when, by this process's monotonic clock."""
+
+import hashlib
+import itertools
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from protocol import codec
+from protocol.errors import FleetPoseError
+from protocol.keys import Keys
+from protocol.messages import (
+    Alignment,
+    DepthCloud,
+    FleetState,
+    RobotPose,
+    ScatteredCloud,
+    ServerStatus,
+    View,
+    ViewName,
+)
+from protocol.transport import Link, Sample, Slots
+
+
+@dataclass(frozen=True)
+class SeenView:
+    """A view as it arrived; `digest` identifies what its cloud holds."""
+
+    view: View
+    digest: str
+    received_s: float
+    size_bytes: int
+
+
+@dataclass(frozen=True)
+class SeenPose:
+    """A pose as it arrived."""
+
+    pose: RobotPose
+    received_s: float
+
+
+@dataclass(frozen=True)
+class SeenAlignment:
+    """That a pair was aligned, and by which start."""
+
+    pair: tuple[str, str]
+    start: str
+    received_s: float
+
+
+def digest_of(cloud: DepthCloud | ScatteredCloud) -> str:
+    """What identifies a cloud: a hash of its encoded bytes."""
+    return hashlib.sha256(cloud.data).hexdigest()
+
+
+class _Arrivals(Slots):
+    """All samples in order with the time of their arrival, nothing replaced."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._queue: queue.SimpleQueue[tuple[float, Sample] | None] = queue.SimpleQueue()
+
+    def store(self, sample: Sample) -> None:
+        self._queue.put((time.monotonic(), sample))
+
+    def close(self) -> None:
+        self._queue.put(None)
+
+    def __iter__(self) -> Iterator[tuple[float, Sample]]:
+        while (arrival := self._queue.get()) is not None:
+            yield arrival
+
+
+class Observer:
+    """Subscribes to all that robots and server publish. All attributes may be read from any thread.
+
+    Attributes:
+        located_counts: (time, number of robots located) at every change of that number.
+        view_to_pose_s: per view, from its arrival here to that of the first pose as new as it.
+    """
+
+    def __init__(self, link: Link, keys: Keys) -> None:
+        self._keys = keys
+        self._arrivals = _Arrivals()
+        self._lock = threading.Lock()
+        self._views: dict[str, SeenView] = {}
+        self._views_by_name: dict[str, SeenView] = {}
+        self._poses: dict[str, SeenPose] = {}
+        self._waiting: dict[str, list[tuple[ViewName, float]]] = {}
+        self._alive: set[str] = set()
+        self.state: FleetState | None = None
+        self.statuses: list[tuple[float, ServerStatus]] = []
+        self.alignments: list[SeenAlignment] = []
+        self.pose_arrivals: list[tuple[float, str]] = []
+        self.located_counts: list[tuple[float, int]] = [(time.monotonic(), 0)]
+        self.view_to_pose_s: list[float] = []
+        self.view_sizes: list[int] = []
+        self.undecodable = 0
+        self._subscribe(link)
+        self._thread = threading.Thread(target=self._run, name="observer", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Ends the thread; the link is closed by whoever opened it."""
+        self._arrivals.close()
+        self._thread.join()
+
+    def newest_view(self, robot: str) -> SeenView | None:
+        with self._lock:
+            return self._views.get(robot)
+
+    def view(self, name: ViewName) -> SeenView | None:
+        """A view by its name; all are kept, without their salient points."""
+        with self._lock:
+            return self._views_by_name.get(str(name))
+
+    def poses(self) -> dict[str, SeenPose]:
+        """The newest pose of each robot."""
+        with self._lock:
+            return dict(self._poses)
+
+    def first_alignment_s(self, pair: tuple[str, str], since_s: float) -> float | None:
+        """When the pair was first aligned after a time."""
+        with self._lock:
+            times = (a.received_s for a in reversed(self.alignments) if a.pair == pair)
+            return _first_after(times, since_s)
+
+    def first_pose_s(self, robots: tuple[str, ...], since_s: float) -> float | None:
+        """When a pose of one of the robots first arrived after a time."""
+        with self._lock:
+            times = (at_s for at_s, robot in reversed(self.pose_arrivals) if robot in robots)
+            return _first_after(times, since_s)
+
+    def alive_robots(self) -> int:
+        """Robots whose token is there."""
+        with self._lock:
+            return sum(1 for key in self._alive if "/robot/" in key)
+
+    def server_alive(self) -> bool:
+        with self._lock:
+            return any("/server/" in key for key in self._alive)
+
+    def _subscribe(self, link: Link) -> None:
+        keys = self._keys
+        self._clouds = link.subscribe_bulk(keys.cloud("*"), self._arrivals)
+        for key in (keys.poses, keys.state, keys.status, keys.alignment("*", "*")):
+            link.on_latched(key, self._arrivals.store)
+        for key in (keys.robot_alive("*", "*"), keys.server_alive("*")):
+            link.on_alive(key, self._note_alive)
+
+    def _note_alive(self, key: str, alive: bool) -> None:
+        with self._lock:
+            (self._alive.add if alive else self._alive.discard)(key)
+
+    def _run(self) -> None:
+        handlers: dict[str, tuple[type[Any], Callable[[Any, float, int], None]]] = {
+            codec.encoding_of(kind): (kind, handler)
+            for kind, handler in (
+                (View, self._on_view),
+                (RobotPose, self._on_pose),
+                (FleetState, self._on_state),
+                (ServerStatus, self._on_status),
+                (Alignment, self._on_alignment),
+            )
+        }
+        for received_s, sample in self._arrivals:
+            try:
+                kind, handler = handlers[sample.encoding]
+                message = codec.unpack(kind, sample.payload)
+            except (FleetPoseError, KeyError):
+                self.undecodable += 1
+                continue
+            with self._lock:
+                handler(message, received_s, len(sample.payload))
+
+    def _on_view(self, view: View, received_s: float, size: int) -> None:
+        seen = SeenView(view, digest_of(view.cloud), received_s, size)
+        self._views[view.name.robot] = seen
+        self._views_by_name[str(view.name)] = seen
+        self.view_sizes.append(size)
+        self._waiting.setdefault(view.name.robot, []).append((view.name, received_s))
+
+    def _on_pose(self, pose: RobotPose, received_s: float, _: int) -> None:
+        last = self._poses.get(pose.robot)
+        if last and (last.pose.server_epoch, last.pose.n) == (pose.server_epoch, pose.n):
+            return  # a repeat
+        self._poses[pose.robot] = SeenPose(pose, received_s)
+        self.pose_arrivals.append((received_s, pose.robot))
+        waiting = self._waiting.get(pose.robot, [])
+        answered = [item for item in waiting if _covers(pose.view, item[0])]
+        self.view_to_pose_s += [received_s - arrived for _, arrived in answered]
+        self._waiting[pose.robot] = [item for item in waiting if item not in answered]
+        located = sum(1 for seen in self._poses.values() if seen.pose.located)
+        if located != self.located_counts[-1][1]:
+            self.located_counts.append((received_s, located))
+
+    def _on_state(self, state: FleetState, *_: object) -> None:
+        self.state = state
+
+    def _on_status(self, status: ServerStatus, received_s: float, _: int) -> None:
+        self.statuses.append((received_s, status))
+
+    def _on_alignment(self, alignment: Alignment, received_s: float, _: int) -> None:
+        pair = (alignment.view_i.robot, alignment.view_j.robot)
+        self.alignments.append(SeenAlignment(pair, alignment.start, received_s))
+
+
+def _covers(posed: ViewName, view: ViewName) -> bool:
+    return posed.epoch == view.epoch and posed.seq >= view.seq
+
+
+def _first_after(times_backward: Iterable[float], since_s: float) -> float | None:
+    later = list(itertools.takewhile(lambda at_s: at_s > since_s, times_backward))
+    return later[-1] if later else None
+
+
+def first_time_located(
+    counts: list[tuple[float, int]], robots: int, since_s: float
+) -> float | None:
+    """Seconds from `since_s` until at least so many robots were located at once; none if never."""
+    for at_s, located in counts:
+        if located >= robots:
+            return max(at_s - since_s, 0.0)
+    return None

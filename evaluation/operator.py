@@ -1,0 +1,284 @@
+"""A simulated operator: clicks true correspondences with the noise of a human hand."""
+
+import random
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluation.geometry import Floats, inverse, transform
+from evaluation.observer import Observer, SeenView
+from hmi_client.outbox import Outbox
+from protocol import codec
+from protocol.errors import CodecError
+from protocol.keys import Keys, ordered_pair
+from protocol.messages import OperatorUpdate, Receipts, View
+from protocol.transport import Link, Sample
+
+CLICK_SIGMA_PX = 1.5
+REPEAT_S = 1.0
+GIVE_UP_S = 30.0
+_VISIBLE_TOLERANCE_M = 0.02
+_VISIBLE_TOLERANCE_PER_Z = 0.02
+
+
+@dataclass(frozen=True)
+class Click:
+    """One true correspondence as clicked, (2,) pixels each."""
+
+    pixel_i: Floats
+    pixel_j: Floats
+
+
+class Eyes(Protocol):
+    """Knows which pixels of two views show the same point; the truth behind the operator."""
+
+    def correspondences(self, i: SeenView, j: SeenView) -> tuple[Floats, Floats]:
+        """Pixels (N, 2) of view i and of view j that show the same N points; N may be 0."""
+        ...
+
+
+def by_tracks(
+    ids_i: npt.NDArray[np.int64], uv_i: Floats, ids_j: npt.NDArray[np.int64], uv_j: Floats
+) -> tuple[Floats, Floats]:
+    """Pixels (N, 2) of both views for the track ids that they share."""
+    _, at_i, at_j = np.intersect1d(ids_i, ids_j, return_indices=True)
+    return np.take(uv_i, at_i, axis=0), np.take(uv_j, at_j, axis=0)
+
+
+def by_depth(
+    points_i: Floats, uv_i: Floats, points_j: Floats, uv_j: Floats, K_j: Floats, T_j_i: Floats
+) -> tuple[Floats, Floats]:
+    """Pixels (N, 2) of both views, by moving dense points of i into j at the true pose.
+
+    A point counts if the point of j nearest to its pixel lies at the same depth, so that hidden
+    points are left out.
+    """
+    from scipy.spatial import KDTree
+
+    moved = transform(T_j_i, points_i)
+    front = moved[:, 2] > 0
+    moved, uv_i = moved[front], uv_i[front]
+    projected = (moved @ K_j.T)[:, :2] / moved[:, 2:]
+    distance_px, nearest = KDTree(uv_j).query(projected, distance_upper_bound=2.0)
+    near = np.isfinite(distance_px)
+    seen_z = points_j[np.asarray(nearest)[near], 2]
+    tolerance = _VISIBLE_TOLERANCE_M + _VISIBLE_TOLERANCE_PER_Z * seen_z
+    visible = np.abs(moved[near, 2] - seen_z) < tolerance
+    return uv_i[near][visible], projected[near][visible]
+
+
+def by_view_depth(i: View, j: View, T_i_j: Floats, points: int = 4000) -> tuple[Floats, Floats]:
+    """Like `by_depth`, from the clouds that two robots sent; of view i so many points are tried."""
+    from protocol.clouds import points_of
+
+    cloud_i, cloud_j = points_of(i), points_of(j)
+    some = slice(None, None, max(len(cloud_i.uv) // points, 1))
+    return by_depth(
+        cloud_i.xyz[some], cloud_i.uv[some], cloud_j.xyz, cloud_j.uv, j.camera.K, inverse(T_i_j)
+    )
+
+
+def far_apart(uv: Floats, count: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+    """Indices of `count` pixels far from each other, the first by chance."""
+    chosen = [int(rng.integers(len(uv)))]
+    distance = np.linalg.norm(uv - uv[chosen[0]], axis=1)
+    while len(chosen) < min(count, len(uv)):
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(uv - uv[chosen[-1]], axis=1))
+    return np.asarray(chosen)
+
+
+def draw_clicks(
+    pixels: tuple[Floats, Floats],
+    count: int,
+    rng: np.random.Generator,
+    sizes: tuple[tuple[int, int], tuple[int, int]],
+    sigma_px: float = CLICK_SIGMA_PX,
+) -> list[Click]:
+    """Picks correspondences far apart and adds a hand's noise; clicks stay within the images.
+
+    Args:
+        pixels: (N, 2) of view i and of view j.
+        count: how many at most.
+        rng: of choice and noise.
+        sizes: width and height of both images.
+        sigma_px: of the noise, in each direction of each image.
+    """
+    uv_i, uv_j = pixels
+    if not len(uv_i):
+        return []
+    clicks = []
+    for k in far_apart(uv_i, count, rng):
+        noisy = [
+            np.clip(uv[k] + rng.normal(0.0, sigma_px, 2), 0.0, np.subtract(size, 1.0))
+            for uv, size in zip((uv_i, uv_j), sizes, strict=True)
+        ]
+        clicks.append(Click(noisy[0], noisy[1]))
+    return clicks
+
+
+@dataclass
+class Sent:
+    """A click on its way: when it was put, was receipted, and led to a pose."""
+
+    update: OperatorUpdate
+    put_s: float
+    receipted_s: float | None = None
+
+
+class SimulatedOperator:
+    """Answers the server's questions over the network, at a steady rate, in a thread of its own.
+
+    Where nothing is asked it clicks in a pair of robots by chance, so that the way of a click is
+    measured in any case. A click counts as through when, after its receipt, its pair was aligned
+    and then a pose of one of its robots arrived.
+
+    Args:
+        link, keys: of the session to use.
+        observer: what is known of the fleet.
+        eyes: the truth.
+        clicks_per_minute: how fast it clicks.
+        only_asked: click nothing that the server did not ask for.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        keys: Keys,
+        observer: Observer,
+        eyes: Eyes,
+        clicks_per_minute: float,
+        only_asked: bool = False,
+        seed: int = 0,
+    ) -> None:
+        self._observer, self._eyes = observer, eyes
+        self._period_s = 60.0 / clicks_per_minute
+        self._only_asked = only_asked
+        self._rng = np.random.default_rng(seed)
+        self._chance = random.Random(seed)
+        self._outbox = Outbox("op-simulated")
+        self._publisher = link.latched(keys.updates(self._outbox.operator), block=True, history=10)
+        self._receipts: tuple[float, Receipts] | None = None
+        link.on_latched(keys.receipts(self._outbox.operator), self._note_receipts)
+        self._in_flight: list[Sent] = []
+        self._planned: list[tuple[SeenView, SeenView, Click]] = []
+        self._stop = threading.Event()
+        self.clicks = 0
+        self.rejected: list[str] = []
+        self.click_to_pose_s: list[float] = []
+        self._thread = threading.Thread(target=self._run, name="operator", daemon=True)
+
+    def start(self) -> None:
+        """Begins to click."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Ends the thread."""
+        self._stop.set()
+        self._thread.join()
+
+    def in_flight(self) -> list[Sent]:
+        """Clicks that have not led to a pose yet."""
+        return list(self._in_flight)
+
+    def _note_receipts(self, sample: Sample) -> None:
+        try:
+            receipts = codec.unpack(Receipts, sample.payload, sample.encoding)
+            self._receipts = time.monotonic(), receipts
+        except CodecError as error:
+            self.rejected.append(str(error))
+
+    def _run(self) -> None:
+        next_click_s = next_repeat_s = time.monotonic()
+        while not self._stop.wait(0.005 if self._in_flight else 0.05):
+            now_s = time.monotonic()
+            self._settle(now_s)
+            if now_s >= next_repeat_s:
+                for ticket in self._outbox.open:
+                    self._put(ticket.update)
+                next_repeat_s = now_s + REPEAT_S
+            if now_s >= next_click_s and self._click(now_s):
+                next_click_s = now_s + self._period_s
+
+    def _click(self, now_s: float) -> bool:
+        """Makes the next click; whether there was one to make."""
+        if not self._planned:
+            self._planned = self._plan()
+        if not self._planned:
+            return False
+        i, j, click = self._planned.pop()
+        ticket = self._outbox.post(
+            "add",
+            (i.view.name.robot, j.view.name.robot),
+            0,
+            view_i=i.view.name,
+            view_j=j.view.name,
+            pixel_i=click.pixel_i,
+            pixel_j=click.pixel_j,
+        )
+        self._in_flight.append(Sent(ticket.update, now_s))
+        self._put(ticket.update)
+        self.clicks += 1
+        return True
+
+    def _plan(self) -> list[tuple[SeenView, SeenView, Click]]:
+        """Three clicks for the first question that has an answer, or for a pair by chance."""
+        for i, j in self._candidates():
+            sizes = [(seen.view.camera.width, seen.view.camera.height) for seen in (i, j)]
+            clicks = draw_clicks(
+                self._eyes.correspondences(i, j), 3, self._rng, (sizes[0], sizes[1])
+            )
+            if clicks:
+                return [(i, j, click) for click in clicks]
+        return []
+
+    def _candidates(self) -> Sequence[tuple[SeenView, SeenView]]:
+        state = self._observer.state
+        if state is None:
+            return []
+        view = self._observer.view
+        asked = [(view(q.view_i), view(q.view_j)) for q in state.questions]
+        found = [(i, j) for i, j in asked if i is not None and j is not None]
+        if found or self._only_asked:
+            return found
+        robots = [robot.robot for robot in state.robots]
+        pairs = [ordered_pair(*self._chance.sample(robots, 2)) for _ in robots if len(robots) > 1]
+        views = [(self._observer.newest_view(i), self._observer.newest_view(j)) for i, j in pairs]
+        return [(i, j) for i, j in views if i is not None and j is not None]
+
+    def _put(self, update: OperatorUpdate) -> None:
+        self._publisher.put(codec.pack(update), codec.encoding_of(OperatorUpdate))
+
+    def _settle(self, now_s: float) -> None:
+        if self._receipts is not None:
+            receipted_s, receipts = self._receipts
+            for ticket in self._outbox.settle(receipts):
+                self._finish(ticket.update, ticket.reason, receipted_s)
+        done = [sent for sent in self._in_flight if self._through(sent)]
+        late = [sent for sent in self._in_flight if now_s - sent.put_s > GIVE_UP_S]
+        self._in_flight = [s for s in self._in_flight if s not in done and s not in late]
+
+    def _finish(self, update: OperatorUpdate, reason: str | None, receipted_s: float) -> None:
+        if reason is not None:
+            self.rejected.append(reason)
+            self._in_flight = [sent for sent in self._in_flight if sent.update.n != update.n]
+        for sent in self._in_flight:
+            if sent.update.n == update.n:
+                sent.receipted_s = receipted_s
+
+    def _through(self, sent: Sent) -> bool:
+        """Notes the time from put to pose, once there is one."""
+        if sent.receipted_s is None:
+            return False
+        pair = (sent.update.i, sent.update.j)
+        aligned_s = self._observer.first_alignment_s(pair, sent.receipted_s)
+        pose_s = None if aligned_s is None else self._observer.first_pose_s(pair, aligned_s)
+        if pose_s is None:
+            return False
+        self.click_to_pose_s.append(pose_s - sent.put_s)
+        return True

@@ -1,0 +1,181 @@
+"""`pose-eval pairs`: every pair of a recording, automatically, against the truth.
+
+Each view goes the whole way: stripped folder, the robot's camera, salient points, the bytes on the
+wire, the server's preparation, the alignment.
+"""
+
+import itertools
+import multiprocessing
+import random
+import tempfile
+from collections.abc import Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evaluation.datasets import (
+    CloudKind,
+    Recording,
+    TrueView,
+    are_partners,
+    median_depth_m,
+    open_recording,
+    shared_tracks,
+)
+from evaluation.geometry import inverse
+from evaluation.pair_worker import (
+    Answer,
+    align,
+    encode,
+    prepare_ms,
+    true_overlap,
+    use_one_thread,
+)
+from evaluation.pairs_report import PairRow, write_results
+from evaluation.report import output_folder, progress_bar
+from evaluation.scoring import (
+    Limits,
+    optical_angle_deg,
+    position_error_m,
+    rotation_error_deg,
+)
+from evaluation.strip import random_name, strip
+
+TILE = 16  # pairs are done in squares of so many views, so that the caches serve
+
+
+def run(
+    data: Path, clouds: CloudKind | None, out: Path, workers: int = 2, limit: int | None = None
+) -> dict[str, Any]:
+    """Aligns all pairs; writes poses.csv, pairs.csv, summary.json and a plot; returns the summary.
+
+    Args:
+        data: a posed-views or RGB-D folder.
+        clouds: kind of clouds, for posed views.
+        out: folder for the results.
+        workers: processes.
+        limit: take that many pairs only, chosen evenly.
+
+    Raises:
+        FleetPoseError: the data cannot be used, or the folder cannot be made.
+    """
+    recording = open_recording(data, clouds)
+    pairs = limited(pairs_of(recording), limit)
+    output_folder(out)
+    median_m = median_depth_m(recording)
+    with (
+        tempfile.TemporaryDirectory(prefix="fleetpose-") as folder,
+        ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), use_one_thread) as pool,
+        progress_bar() as progress,
+    ):
+        wires, robot_ms = _on_the_wire(recording, Path(folder), pool, progress)
+        server_ms = list(pool.map(prepare_ms, wires.values()))
+        limits = Limits.of(median_m, recording.is_rgbd)
+        task = progress.add_task("pairs", total=len(pairs))
+        rows = []
+        jobs = ((pair, (align, wires[pair[0].index], wires[pair[1].index])) for pair in pairs)
+        for (i, j), answer in _as_done(pool, jobs, in_flight=2 * workers + 2):
+            rows.append(_scored(i, j, answer, limits))
+            progress.advance(task)
+        _add_shared_or_overlap(recording, rows, pool, progress)
+    rows.sort(key=lambda row: (row.i, row.j))
+    view_ms = [robot + server for robot, server in zip(robot_ms, server_ms, strict=True)]
+    return write_results(out, rows, median_m, view_ms, recording.is_rgbd)
+
+
+def pairs_of(recording: Recording) -> list[tuple[TrueView, TrueView]]:
+    """All pairs i < j of views with clouds but stereo partners, in an order that suits caches."""
+    pairs = [
+        (i, j) for i, j in itertools.combinations(recording.usable, 2) if not are_partners(i, j)
+    ]
+    return sorted(
+        pairs, key=lambda p: (p[0].index // TILE, p[1].index // TILE, p[0].index, p[1].index)
+    )
+
+
+def limited(
+    pairs: list[tuple[TrueView, TrueView]], limit: int | None
+) -> list[tuple[TrueView, TrueView]]:
+    """At most `limit` of the pairs, spread evenly over the list."""
+    if limit is None or limit >= len(pairs):
+        return pairs
+    chosen = np.linspace(0, len(pairs) - 1, max(limit, 1)).round().astype(int)
+    return [pairs[k] for k in sorted(set(chosen.tolist()))]
+
+
+def _on_the_wire(
+    recording: Recording, folder: Path, pool: ProcessPoolExecutor, progress: Any
+) -> tuple[dict[int, Path], list[float]]:
+    """What every view's robot sends, in one file each, and the milliseconds it took the robot."""
+    rng = random.Random()
+    task = progress.add_task("views", total=len(recording.usable))
+    jobs: list[tuple[int, Future[float]]] = []
+    wires: dict[int, Path] = {}
+    for view in recording.usable:
+        robot = random_name(rng)
+        stripped = strip(recording, [view], folder / robot, rng)
+        wires[view.index] = folder / f"{robot}.msgpack"
+        job = pool.submit(encode, robot, stripped.camera, stripped.path, wires[view.index])
+        job.add_done_callback(lambda _: progress.advance(task))
+        jobs.append((view.index, job))
+    return wires, [job.result() for _, job in jobs]
+
+
+def _as_done(
+    pool: ProcessPoolExecutor, jobs: Iterable[tuple[Any, tuple[Any, ...]]], in_flight: int
+) -> Iterator[tuple[Any, Any]]:
+    """Runs (label, (function, *arguments)) in order and yields (label, result) as they are done."""
+    jobs = iter(jobs)
+    running: dict[Future[Any], Any] = {}
+    while True:
+        for label, call in itertools.islice(jobs, in_flight - len(running)):
+            running[pool.submit(*call)] = label
+        if not running:
+            return
+        done, _ = wait(running, return_when=FIRST_COMPLETED)
+        for future in done:
+            yield running.pop(future), future.result()
+
+
+def _scored(i: TrueView, j: TrueView, answer: Answer, limits: Limits) -> PairRow:
+    T_i_j_true = inverse(i.T_world_camera) @ j.T_world_camera
+    position = rotation = None
+    ok = grave = False
+    if answer.T_i_j is not None:
+        position = position_error_m(T_i_j_true, answer.T_i_j)
+        rotation = rotation_error_deg(T_i_j_true, answer.T_i_j)
+        ok, grave = limits.ok(position, rotation), limits.grave(position, rotation)
+    return PairRow(
+        i=i.index,
+        j=j.index,
+        verdict=answer.verdict,
+        align_ms=answer.align_ms,
+        T_i_j=answer.T_i_j,
+        covariance=answer.covariance,
+        T_i_j_true=T_i_j_true,
+        angle_deg=optical_angle_deg(i.T_world_camera, j.T_world_camera),
+        position_error_m=position,
+        rotation_error_deg=rotation,
+        ok=ok,
+        grave=grave,
+        start=answer.start,
+        inliers=answer.inliers,
+        reasons="; ".join(answer.reasons),
+    )
+
+
+def _add_shared_or_overlap(
+    recording: Recording, rows: list[PairRow], pool: ProcessPoolExecutor, progress: Any
+) -> None:
+    """Posed views: track ids in common. Dense depth: overlap, which takes a while."""
+    views = {view.index: view for view in recording.views}
+    for row in rows:
+        row.shared = shared_tracks(recording, views[row.i], views[row.j])
+    if recording.is_rgbd or recording.clouds == "stereo_dense":
+        task = progress.add_task("overlap", total=len(rows))
+        jobs = ((row, (true_overlap, views[row.i], views[row.j], row.T_i_j_true)) for row in rows)
+        for row, value in _as_done(pool, jobs, in_flight=8):
+            row.overlap = value
+            progress.advance(task)

@@ -1,0 +1,70 @@
+"""What the operator should do next and why, in sentences. Every client shows these."""
+
+import math
+
+from hmi_client.matrix import length_text
+from hmi_client.session import OperatorSession
+
+SILENT_S = 2.5  # the state comes at 2 to 5 Hz; after this long without it the server counts as gone
+
+
+def next_step(session: OperatorSession) -> str:
+    """The one thing to do now."""
+    if session.silence_s > SILENT_S:
+        if math.isinf(session.silence_s):
+            return "NO SERVER heard yet; waiting for one"
+        since = f"{session.silence_s:.0f} s"
+        return f"NO SERVER: nothing heard for {since}. What is shown is old; clicks are kept."
+    question = session.question()
+    if session.pair is None:
+        if question is None:
+            return "Nothing is asked. Arrows and Enter in the matrix select any pair."
+        return f"Press n for the best question: {question.i} - {question.j}"
+    i, j = session.pair
+    missing = [robot for robot in (i, j) if session.picture(robot) is None]
+    if missing:
+        return f"Waiting for the image of {' and '.join(missing)} ..."
+    if session.half is not None:
+        done, other = (i, j) if session.half.side == 0 else (j, i)
+        return f"Point picked in {done}: now pick the same point in {other} (c cancels)"
+    return f"Pick the same point in {i} and in {j}: arrows (Shift: 10 px), Space picks"
+
+
+def reason(session: OperatorSession) -> str:
+    """Why the question is asked, or what is known about the selected pair."""
+    question, cell = session.question(), None
+    if session.pair is not None:
+        cell = session.cell(session.pair)
+    asked = question is not None and (session.pair in (None, (question.i, question.j)))
+    parts = []
+    if question is not None and asked:
+        gain = f" (expected gain {length_text(question.gain)} per click)" if question.gain else ""
+        parts.append(f"Asked because {question.reason}{gain}")
+    if cell is not None:
+        parts.append(describe_cell(session))
+    return "  ·  ".join(parts)
+
+
+def describe_cell(session: OperatorSession) -> str:
+    """The state of the selected pair in a few words."""
+    cell = session.cell(session.pair) if session.pair else None
+    if cell is None or cell.state == "untried":
+        return "never tried"
+    if cell.state == "through_others":
+        return "known only through others"
+    words = [cell.verdict or "tried"]
+    if cell.rmse_m is not None:
+        words.append(length_text(cell.rmse_m))
+    words.append(f"overlap {100 * cell.overlap:.0f} %")
+    if session.alignment is not None:
+        words.append(f"{session.alignment.inliers} inliers from {session.alignment.start}")
+        words.extend(session.alignment.reasons[:1])
+    return ", ".join(words)
+
+
+def confirmation(session: OperatorSession) -> str:
+    """What the server last confirmed of this operator's work."""
+    waiting, confirmed = len(session.open_updates()), session.confirmed
+    if waiting:
+        return f"{waiting} not confirmed yet"
+    return f"all {confirmed} confirmed" if confirmed else "nothing sent yet"

@@ -1,0 +1,152 @@
+"""The command `hmi-client`: screen, screenshot, watch, status, why and correspondences."""
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hmi_client import connection as c
+from hmi_client import correspondence_commands
+from hmi_client.errors import OperatorError
+
+if TYPE_CHECKING:
+    from hmi_client.session import OperatorSession
+
+app = typer.Typer(
+    help="The operator's client of a fleet: see where every robot is, and help where asked.",
+    no_args_is_help=False,
+    pretty_exceptions_enable=False,
+)
+app.add_typer(correspondence_commands.app, name="correspondences")
+
+Threshold = Annotated[float, typer.Option(help="hide errors above it, metres", min=0.0001)]
+
+
+@app.callback(invoke_without_command=True)
+def default(context: typer.Context) -> None:
+    """Opens the screen when no command is given on a terminal."""
+    if context.invoked_subcommand is not None:
+        return
+    if sys.stdin.isatty() and sys.stdout.isatty():
+        context.invoke(screen)
+    else:
+        typer.echo(context.get_help())
+
+
+@app.command()
+def screen(
+    fps: Annotated[float, typer.Option(help="looks at the state per second", min=1, max=60)] = 10.0,
+    threshold: Threshold = 1.0,
+    log: Annotated[Path | None, typer.Option(help="log file; default in the state folder")] = None,
+    connect: c.Connect = c.DEFAULT_CONNECT,
+    site: c.Site = c.DEFAULT_SITE,
+    config: c.Config = None,
+    operator: c.Operator = "",
+) -> None:
+    """Shows map, errors and images; q quits."""
+    from hmi_client.text.run import run_screen
+
+    run_screen(c.Connection.of(connect, site, config, operator), fps, threshold, log)
+
+
+@app.command()
+def screenshot(
+    out: Annotated[Path, typer.Option(help="the SVG file")],
+    size: Annotated[str, typer.Option(help="columns x rows")] = "160x50",
+    after: Annotated[float, typer.Option(help="seconds to wait at most", min=0.0)] = 10.0,
+    pair: Annotated[str, typer.Option(help="R1,R2; default: the first question's")] = "",
+    maximise: Annotated[bool, typer.Option(help="show the images only")] = False,
+    threshold: Threshold = 1.0,
+    connect: c.Connect = c.DEFAULT_CONNECT,
+    site: c.Site = c.DEFAULT_SITE,
+    config: c.Config = None,
+    operator: c.Operator = "",
+) -> None:
+    """Draws the screen into an SVG as soon as poses and images are there."""
+    from hmi_client.text.run import take_screenshot
+
+    columns, rows = size_of(size)
+    where = c.Connection.of(connect, site, config, operator)
+    complete = take_screenshot(where, out, (columns, rows), after, pair, maximise, threshold)
+    missing = "" if complete else f" (after {after:.0f} s not everything had arrived)"
+    typer.echo(f"{out}{missing}")
+
+
+@app.command()
+def watch(
+    seconds: Annotated[float | None, typer.Option(help="stop after; default: Ctrl-C")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON lines")] = False,
+    connect: c.Connect = c.DEFAULT_CONNECT,
+    site: c.Site = c.DEFAULT_SITE,
+    config: c.Config = None,
+    operator: c.Operator = "",
+) -> None:
+    """Prints poses, errors of pairs and events as they change."""
+    from hmi_client.reports import Watcher, sentence
+
+    with c.Connection.of(connect, site, config, operator).server() as session:
+        watcher = Watcher(session)
+        end = None if seconds is None else time.monotonic() + seconds
+        while end is None or time.monotonic() < end:
+            seen = session.revisions()
+            for record in watcher.news():
+                typer.echo(json.dumps(record) if as_json else sentence(record))
+            left = 0.5 if end is None else min(0.5, max(end - time.monotonic(), 0.0))
+            session.wait_change(seen, ("poses", "fleet", "events"), left)
+
+
+@app.command()
+def status(
+    connect: c.Connect = c.DEFAULT_CONNECT,
+    site: c.Site = c.DEFAULT_SITE,
+    config: c.Config = None,
+    operator: c.Operator = "",
+) -> None:
+    """Prints the server's load, the robots and what is asked; exit code 3 without a server."""
+    from hmi_client.reports import status_text
+
+    with c.Connection.of(connect, site, config, operator).server() as session:
+        session.wait_change({}, ("status",), 2.0)
+        typer.echo(status_text(session))
+
+
+@app.command()
+def why(
+    robot: Annotated[str, typer.Argument(help="a robot's name")],
+    connect: c.Connect = c.DEFAULT_CONNECT,
+    site: c.Site = c.DEFAULT_SITE,
+    config: c.Config = None,
+    operator: c.Operator = "",
+) -> None:
+    """Says why a robot is not located."""
+    with c.Connection.of(connect, site, config, operator).server() as session:
+        typer.echo(why_text(session, robot))
+
+
+def why_text(session: "OperatorSession", robot: str) -> str:
+    """Why a robot is not located, in a sentence."""
+    state = session.robot(robot)
+    if state.why_not:
+        return f"{robot} is not located: {state.why_not}"
+    pose = session.poses().get(robot)
+    if pose is not None and pose.located:
+        return f"{robot} is located"
+    return f"{robot} is not located; the server gives no reason"
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """Parses COLUMNSxROWS.
+
+    Raises:
+        OperatorError: it is none, or too small to show anything.
+    """
+    try:
+        columns, rows = (int(number) for number in text.lower().split("x"))
+    except ValueError:
+        columns, rows = 0, 0
+    if not (40 <= columns <= 500 and 15 <= rows <= 200):
+        raise OperatorError(f"'{text}' is no size: write e.g. 160x50 (40x15 to 500x200)")
+    return columns, rows

@@ -1,0 +1,88 @@
+"""How the commands reach the fleet: the options they share, and a connected session."""
+
+import getpass
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hmi_client.errors import NoServerError
+
+if TYPE_CHECKING:
+    from hmi_client.client import Client
+    from hmi_client.session import OperatorSession
+
+SERVER_TIMEOUT_S = 5.0
+
+Connect = Annotated[
+    list[str],
+    typer.Option(help="endpoint of the router; may be given again", envvar="FLEETPOSE_CONNECT"),
+]
+Site = Annotated[str, typer.Option(help="name of the site", envvar="FLEETPOSE_SITE")]
+Config = Annotated[
+    Path | None,
+    typer.Option(help="zenoh configuration (JSON5), replaces --connect", envvar="FLEETPOSE_CONFIG"),
+]
+Operator = Annotated[
+    str,
+    typer.Option(help="who you are; default: the user's name", envvar="FLEETPOSE_OPERATOR"),
+]
+DEFAULT_CONNECT = ["tcp/127.0.0.1:7447"]
+DEFAULT_SITE = "demo"
+
+
+@dataclass(frozen=True)
+class Connection:
+    """Where the fleet is and who operates."""
+
+    connect: tuple[str, ...]
+    site: str
+    config: Path | None
+    operator: str
+
+    @classmethod
+    def of(cls, connect: list[str], site: str, config: Path | None, operator: str) -> "Connection":
+        return cls(tuple(connect), site, config, operator or default_operator())
+
+    def client(self, session: "OperatorSession", timeout_s: float = SERVER_TIMEOUT_S) -> "Client":
+        """A client that is not started yet; opening the link gives up after the timeout."""
+        from hmi_client.client import Client
+        from protocol.keys import Keys
+        from protocol.transport import Link, SessionSettings, open_session
+
+        settings = SessionSettings(
+            connect=self.connect, config_file=self.config, timeout_s=timeout_s
+        )
+        return Client(session, Keys(self.site), lambda: Link(open_session(settings)))
+
+    @contextmanager
+    def server(self) -> Iterator["OperatorSession"]:
+        """A session that a server has been heard in.
+
+        Raises:
+            NoServerError: none was heard within 5 seconds.
+        """
+        from hmi_client.session import OperatorSession
+
+        session = OperatorSession(self.operator)
+        with self.client(session):
+            if not session.wait_change({}, ("fleet",), SERVER_TIMEOUT_S):
+                where = self.config or ", ".join(self.connect)
+                raise NoServerError(
+                    f"no pose server of site '{self.site}' answered at {where} in "
+                    f"{SERVER_TIMEOUT_S:.0f} s; is 'pose-server run' running there?"
+                )
+            yield session
+
+
+def default_operator() -> str:
+    """The user's name as a chunk of a key."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # no entry in the password file, as in some containers
+        user = ""
+    return re.sub(r"[^a-z0-9_-]", "-", user.lower())[:32] or "operator"

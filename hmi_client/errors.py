@@ -1,0 +1,11 @@
+"""What an operator can do wrong; each sentence says what to do instead."""
+
+from protocol.errors import FleetPoseError, UnreachableError
+
+
+class OperatorError(FleetPoseError):
+    """A command that cannot be carried out as given."""
+
+
+class NoServerError(UnreachableError):
+    """No pose server was heard in time."""

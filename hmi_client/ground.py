@@ -1,0 +1,44 @@
+"""A pose seen from above: position on the ground, heading and uncertainty.
+
+Metres, radians, fleet frame (z up).
+"""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from protocol.messages import RobotPose
+
+Floats = npt.NDArray[np.float64]
+
+
+def position(pose: RobotPose) -> Floats:
+    """(3,) position of the robot in the fleet frame."""
+    return pose.T_fleet_robot[:3, 3]
+
+
+def heading_rad(pose: RobotPose) -> float:
+    """Direction of the robot's x axis on the ground, counter-clockwise from the fleet's x axis."""
+    return math.atan2(pose.T_fleet_robot[1, 0], pose.T_fleet_robot[0, 0])
+
+
+def position_covariance(pose: RobotPose) -> Floats:
+    """(3, 3) covariance of the position: a left perturbation (w, v) moves p by w x p + v."""
+    x, y, z = position(pose)
+    J = np.hstack((np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]), np.eye(3)))
+    return J @ pose.covariance @ J.T
+
+
+def position_sigma_m(pose: RobotPose) -> float:
+    """Sigma of the position along its weakest direction."""
+    return math.sqrt(max(float(np.linalg.eigvalsh(position_covariance(pose))[-1]), 0.0))
+
+
+def ground_ellipse(pose: RobotPose, sigmas: float = 2.0, points: int = 48) -> Floats:
+    """(points, 2) outline of the uncertainty of the position on the ground."""
+    values, axes = np.linalg.eigh(position_covariance(pose)[:2, :2])
+    angles = np.linspace(0.0, 2.0 * math.pi, points, endpoint=False)
+    circle = np.stack((np.cos(angles), np.sin(angles)))
+    radii = sigmas * np.sqrt(np.maximum(values, 0.0))
+    return position(pose)[:2] + (axes @ (radii[:, None] * circle)).T

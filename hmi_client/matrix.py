@@ -1,0 +1,74 @@
+"""The symmetric error matrix as texts: value, hyphen, `·` or `~`, and which values are bold."""
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+from hmi_client.model import Pair
+from protocol.keys import ordered_pair
+from protocol.messages import FleetState, PairCell, Verdict
+
+HIDDEN, UNTRIED, THROUGH, SELF = "-", "·", "~", "╲"
+BOLD_SHARE = 0.05
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell's text; `verdict` of a shown value, `clicked` if the pair has correspondences."""
+
+    text: str
+    bold: bool = False
+    verdict: Verdict | None = None
+    clicked: bool = False
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """Texts of all cells; ask by two robots in either order."""
+
+    robots: tuple[str, ...]
+    unit: Literal["cm", "m"]
+    cells: dict[Pair, Cell]
+
+    def at(self, a: str, b: str) -> Cell:
+        if a == b:
+            return Cell(SELF)
+        return self.cells.get(ordered_pair(a, b), Cell(UNTRIED))
+
+
+def natural(name: str) -> tuple[str | int, ...]:
+    """Sorting key by which r2 comes before r10."""
+    return tuple(int(part) if k % 2 else part for k, part in enumerate(re.split(r"(\d+)", name)))
+
+
+def is_shown(cell: PairCell, threshold_m: float) -> bool:
+    """Whether a cell shows its error: aligned, not rejected, not above the threshold."""
+    tried = cell.state == "tried" and cell.rmse_m is not None and cell.verdict != "rejected"
+    return tried and cell.rmse_m is not None and cell.rmse_m <= threshold_m
+
+
+def matrix_of(fleet: FleetState, threshold_m: float) -> Matrix:
+    """The matrix of a fleet; the largest 5 % of the shown values, at least one, are bold."""
+    robots = tuple(sorted((r.robot for r in fleet.robots), key=natural))
+    shown = {(c.i, c.j): c.rmse_m or 0.0 for c in fleet.pairs if is_shown(c, threshold_m)}
+    unit: Literal["cm", "m"] = "cm" if max(shown.values(), default=0.0) < 1.0 else "m"
+    ranked = sorted(shown, key=lambda pair: -shown[pair])
+    bold = set(ranked[: max(1, int(BOLD_SHARE * len(ranked)))])
+    cells = {}
+    for cell in fleet.pairs:
+        pair = (cell.i, cell.j)
+        clicked = cell.correspondences > 0
+        if pair in shown:
+            text = f"{100 * shown[pair]:.1f}" if unit == "cm" else f"{shown[pair]:.2f}"
+            cells[pair] = Cell(text, pair in bold, cell.verdict, clicked)
+        else:
+            states = {"untried": UNTRIED, "through_others": THROUGH, "tried": HIDDEN}
+            cells[pair] = Cell(states[cell.state], clicked=clicked)
+    return Matrix(robots, unit, cells)
+
+
+def length_text(metres: float) -> str:
+    """A length with its unit: 8 mm, 3.2 cm, 1.50 m."""
+    if metres < 0.01:
+        return f"{1000 * metres:.1f} mm"
+    return f"{100 * metres:.1f} cm" if metres < 1 else f"{metres:.2f} m"

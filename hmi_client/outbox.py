@@ -1,0 +1,105 @@
+"""The operator's updates on their way: numbered without gaps, kept until a receipt covers them."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from hmi_client.model import Pair, Pick
+from protocol.keys import new_epoch
+from protocol.messages import OperatorUpdate, Receipts
+
+Action = Literal["add", "erase", "clear"]
+
+
+@dataclass(eq=False)
+class Ticket:
+    """What became of one update: open, accepted, or rejected with the server's reason.
+
+    The update may be numbered anew when the server has lost its journal; the ticket stays.
+    """
+
+    update: OperatorUpdate
+    final: bool = False
+    reason: str | None = None
+
+    @property
+    def accepted(self) -> bool:
+        return self.final and self.reason is None
+
+    @property
+    def pick(self) -> Pick | None:
+        """The pick of an `add`, none for other actions."""
+        u = self.update
+        if u.action != "add" or u.view_i is None or u.view_j is None:
+            return None
+        assert u.pixel_i is not None and u.pixel_j is not None  # the message's own rule
+        (u_i, v_i), (u_j, v_j) = u.pixel_i, u.pixel_j
+        return Pick(u.view_i, u.view_j, (float(u_i), float(v_i)), (float(u_j), float(v_j)))
+
+
+class Outbox:
+    """Numbers updates 1, 2, 3, ... within a session and keeps those still to be offered."""
+
+    def __init__(self, operator: str, session: str | None = None) -> None:
+        self.operator = operator
+        self.session = session or new_epoch()
+        self.confirmed = 0
+        self._confirmed_by: str | None = None
+        self._last = 0
+        self._open: list[Ticket] = []
+
+    @property
+    def open(self) -> tuple[Ticket, ...]:
+        """Tickets that no receipt covers yet, in order."""
+        return tuple(self._open)
+
+    def post(self, action: Action, pair: Pair, base_revision: int, **places: Any) -> Ticket:
+        """Makes the next update; `places` are the remaining fields of `OperatorUpdate`."""
+        update = OperatorUpdate(
+            operator=self.operator,
+            session=self.session,
+            n=self._last + 1,
+            action=action,
+            i=pair[0],
+            j=pair[1],
+            base_revision=base_revision,
+            **places,
+        )
+        self._last += 1
+        ticket = Ticket(update)
+        self._open.append(ticket)
+        return ticket
+
+    def settle(self, receipts: Receipts) -> list[Ticket]:
+        """Applies cumulative receipts; returns the tickets that became final, in order."""
+        if receipts.operator != self.operator or receipts.session != self.session:
+            return []
+        if min(receipts.n, self._last) > self.confirmed:
+            self.confirmed = min(receipts.n, self._last)
+            self._confirmed_by = receipts.server_epoch
+        reasons = {rejection.n: rejection.reason for rejection in receipts.rejections}
+        settled = [ticket for ticket in self._open if ticket.update.n <= receipts.n]
+        self._open = [ticket for ticket in self._open if ticket.update.n > receipts.n]
+        for ticket in settled:
+            ticket.final = True
+            ticket.reason = reasons.get(ticket.update.n)
+        return settled
+
+    def is_forgotten_by(self, receipts: Receipts) -> bool:
+        """Whether a server no longer has what another receipted: its journal is lost.
+
+        A receipt that is merely late comes from the server that has receipted more.
+        """
+        return (
+            receipts.operator == self.operator
+            and receipts.session == self.session
+            and receipts.server_epoch != self._confirmed_by
+            and receipts.n < self.confirmed
+        )
+
+    def restart(self) -> None:
+        """Begins a new session, numbered from 1, for a server with an empty journal."""
+        self.session = new_epoch()
+        self.confirmed = 0
+        self._last = len(self._open)
+        for n, ticket in enumerate(self._open, start=1):
+            ticket.update = ticket.update.model_copy(update={"session": self.session, "n": n})

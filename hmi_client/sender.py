@@ -1,0 +1,85 @@
+"""What goes out: updates until they are receipted, the selection, and which images are wanted."""
+
+import threading
+import time
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from hmi_client.model import Pair
+from hmi_client.session import OperatorSession
+from protocol.codec import encoding_of, pack
+from protocol.keys import Keys
+from protocol.messages import OperatorUpdate, Selection
+from protocol.transport import Link, Slots
+
+REPEAT_S = 1.0  # an update is offered again after this long without a receipt
+
+
+class Sender:
+    """Follows the session; runs in a thread of its own, because a put may wait for the link.
+
+    Args:
+        session: what is followed.
+        keys: the keys of the site.
+        link: where it goes.
+        inbox: where images of the selected robots, and only of these, arrive.
+        on_selected: called with a newly selected pair.
+    """
+
+    def __init__(
+        self,
+        session: OperatorSession,
+        keys: Keys,
+        link: Link,
+        inbox: Slots,
+        on_selected: Callable[[Pair], None],
+    ) -> None:
+        self._session = session
+        self._keys = keys
+        self._link = link
+        self._inbox = inbox
+        self._on_selected = on_selected
+        self._updates = link.latched(keys.updates(session.operator), block=True, history=100)
+        self._selection = link.latched(keys.selection(session.operator), block=True)
+        self._offered_s: dict[tuple[str, int], float] = {}
+        self._told: Selection | None = None
+        self._images: dict[str, Any] = {}
+
+    def run(self, stop: threading.Event) -> None:
+        """Sends until told to stop."""
+        while not stop.is_set():
+            seen = self._session.revisions()
+            self._follow_selection()
+            self._offer_updates()
+            self._session.wait_change(seen, ("selection", "updates"), REPEAT_S / 4)
+        self._want_images(())
+
+    def _offer_updates(self) -> None:
+        """Offers open updates in order, and again while no receipt covers them."""
+        now = time.monotonic()
+        offered = {}
+        for update in self._session.open_updates():
+            name = (update.session, update.n)
+            offered[name] = self._offered_s.get(name, now - REPEAT_S)
+            if now - offered[name] >= REPEAT_S:
+                self._updates.put(pack(update), encoding_of(OperatorUpdate))
+                offered[name] = now
+        self._offered_s = offered
+
+    def _follow_selection(self) -> None:
+        selection = self._session.selection()
+        if selection == self._told:
+            return
+        pair = (selection.i, selection.j) if selection.i and selection.j else None
+        self._want_images(pair or ())
+        if pair is not None:
+            self._on_selected(pair)
+        self._selection.put(pack(selection), encoding_of(Selection))
+        self._told = selection
+
+    def _want_images(self, robots: Iterable[str]) -> None:
+        wanted = set(robots)
+        for robot in set(self._images) - wanted:
+            self._images.pop(robot).undeclare()
+        for robot in wanted - set(self._images):
+            self._images[robot] = self._link.subscribe_bulk(self._keys.image(robot), self._inbox)

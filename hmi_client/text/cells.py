@@ -1,0 +1,219 @@
+"""Drawing with characters: images in half blocks, dots in braille, texts on a canvas.
+
+Colours are cut to 5 bit per channel: that makes runs of equal cells longer and lets the styles be
+cached. Every style has its own background, because strips get none from their widget.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from rich.color import Color
+from rich.segment import Segment
+from rich.style import Style
+from textual.strip import Strip
+
+Image = npt.NDArray[np.uint8]
+BACKGROUND = "#10141a"
+OUTSIDE_BGR = (30, 24, 20)  # beyond the edge of an image
+COLOUR_BITS = 0xF8F8F8
+# The palette of Okabe and Ito is told apart by colour-blind people; the numbers say the same.
+MARKER_COLOURS = (
+    *("#e69f00", "#56b4e9", "#009e73", "#f0e442"),
+    *("#5a9bd4", "#d55e00", "#cc79a7", "#ffffff"),
+)
+_BRAILLE_BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
+
+
+@lru_cache(maxsize=1 << 16)
+def pair_style(foreground: int, background: int) -> Style:
+    """The style of two 24-bit colours 0xRRGGBB."""
+    return Style.from_color(_color(foreground), _color(background))
+
+
+@lru_cache(maxsize=4096)
+def style(colour: str, background: str = BACKGROUND, bold: bool = False) -> Style:
+    """A style with an explicit background."""
+    return Style(color=colour, bgcolor=background, bold=bold)
+
+
+def _color(rgb: int) -> Color:
+    return Color.from_rgb(rgb >> 16, rgb >> 8 & 255, rgb & 255)
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of half cells over an image.
+
+    Attributes:
+        left, top: its corner in px from the image's corner (pixel (0, 0) covers 0 to 1).
+        px_per_half: image pixels per half cell; a cell is one half cell wide and two high.
+        columns, rows: size in cells.
+    """
+
+    left: float
+    top: float
+    px_per_half: float
+    columns: int
+    rows: int
+
+    def pixel(self, column: float, half_row: float) -> tuple[float, float]:
+        """The pixel under the centre of a half cell (integers are centres of pixels)."""
+        u = self.left + (column + 0.5) * self.px_per_half - 0.5
+        return u, self.top + (half_row + 0.5) * self.px_per_half - 0.5
+
+    def half_cell(self, u: float, v: float) -> tuple[int, int]:
+        """Column and half row that show a pixel; may lie outside."""
+        column = (u + 0.5 - self.left) / self.px_per_half
+        return int(np.floor(column)), int(np.floor((v + 0.5 - self.top) / self.px_per_half))
+
+
+def sample(image: Image, window: Window, scale: float = 1.0) -> Image:
+    """The image under a window, (2 rows, columns, 3) BGR, one value per half cell.
+
+    Args:
+        image: (H, W, 3) BGR; the window is in pixels that are `scale` times smaller than its own.
+        window: what to show.
+        scale: window pixels per image pixel.
+    """
+    step = window.px_per_half / scale
+    left, top = window.left / scale, window.top / scale
+    if step > 1.0:  # shrink by area first, else thin lines vanish
+        height, width = image.shape[:2]
+        size = (max(1, round(width / step)), max(1, round(height / step)))
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+        left, top = left * size[0] / width, top * size[1] / height
+        step = 1.0
+    to_image = np.array([[step, 0, left + step / 2 - 0.5], [0, step, top + step / 2 - 0.5]])
+    shown = cv2.warpAffine(
+        image,
+        to_image,
+        (window.columns, 2 * window.rows),
+        flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=OUTSIDE_BGR,
+    )
+    return np.asarray(shown, np.uint8)
+
+
+class HalfBlocks:
+    """An image of half cells on its way to strips; texts may be laid over it."""
+
+    def __init__(self, image: Image) -> None:
+        """Takes (2 rows, columns, 3) BGR."""
+        bgr = image.astype(np.int32)
+        packed = (bgr[..., 2] << 16 | bgr[..., 1] << 8 | bgr[..., 0]) & COLOUR_BITS
+        self.top, self.bottom = packed[0::2].copy(), packed[1::2].copy()
+        self._over: dict[int, dict[int, tuple[str, Style]]] = {}
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(columns, rows) in cells."""
+        return self.top.shape[1], self.top.shape[0]
+
+    def dot(self, column: int, half_row: int, rgb: int) -> None:
+        """Colours one half cell if it is inside."""
+        columns, rows = self.size
+        if 0 <= column < columns and 0 <= half_row < 2 * rows:
+            (self.bottom if half_row % 2 else self.top)[half_row // 2, column] = rgb
+
+    def text(self, column: int, row: int, text: str, colour: str, background: str = "") -> None:
+        """Lays a text over the cells; without a background the image shines through, darkened."""
+        columns, rows = self.size
+        for x, character in enumerate(text, start=column):
+            if 0 <= row < rows and 0 <= x < columns:
+                under = int(self.top[row, x]) >> 1 & 0x7F7F7F
+                behind = background or f"#{under:06x}"
+                self._over.setdefault(row, {})[x] = (character, style(colour, behind, True))
+
+    def strips(self) -> list[Strip]:
+        """One strip per row of cells."""
+        columns, _ = self.size
+        return [
+            Strip(self._row(top, bottom, self._over.get(row)), columns)
+            for row, (top, bottom) in enumerate(
+                zip(self.top.tolist(), self.bottom.tolist(), strict=True)
+            )
+        ]
+
+    @staticmethod
+    def _row(
+        top: list[int], bottom: list[int], over: dict[int, tuple[str, Style]] | None
+    ) -> list[Segment]:
+        segments: list[Segment] = []
+        start = 0
+        for x in range(1, len(top) + 1):
+            same = (
+                x < len(top)
+                and top[x] == top[start]
+                and bottom[x] == bottom[start]
+                and not (over and (x in over or start in over))
+            )
+            if same:
+                continue
+            if over and start in over:
+                segments.append(Segment(*over[start]))
+            else:
+                segments.append(Segment("▀" * (x - start), pair_style(top[start], bottom[start])))
+            start = x
+        return segments
+
+
+class Canvas:
+    """Characters with styles on a plain background, and braille dots (2 x 4 per cell) beneath."""
+
+    def __init__(self, columns: int, rows: int) -> None:
+        self.columns, self.rows = columns, rows
+        self._dots = np.zeros((4 * rows, 2 * columns), np.bool_)
+        self._blank = style("#c8d0d8")
+        self._text = [[" "] * columns for _ in range(rows)]
+        self._styles = [[self._blank] * columns for _ in range(rows)]
+
+    def dots(self, xy: npt.NDArray[np.floating], paint: Style) -> None:
+        """Sets braille dots, (N, 2) in dots from the top left; those outside are left out."""
+        whole = np.floor(xy).astype(int)
+        inside = ((whole >= 0) & (whole < (2 * self.columns, 4 * self.rows))).all(1)
+        self._dots[whole[inside, 1], whole[inside, 0]] = True
+        for x, y in {(x // 2, y // 4) for x, y in whole[inside].tolist()}:
+            self._styles[y][x] = paint
+
+    def text(self, column: int, row: int, text: str, paint: Style) -> None:
+        """Writes a text; what is outside is left out. Blanks of it hide dots as well."""
+        for x, character in enumerate(text.replace(" ", "\u00a0"), start=column):
+            if 0 <= row < self.rows and 0 <= x < self.columns:
+                self._text[row][x], self._styles[row][x] = character, paint
+
+    def is_free(self, column: int, row: int, length: int) -> bool:
+        """Whether no text is written there and all of it is inside."""
+        if not 0 <= row < self.rows or column < 0 or column + length > self.columns:
+            return False
+        return all(character == " " for character in self._text[row][column : column + length])
+
+    def strips(self) -> list[Strip]:
+        """One strip per row."""
+        braille = braille_of(self._dots)
+        rows = []
+        for text, under, styles in zip(self._text, braille, self._styles, strict=True):
+            merged = [a if a != " " else b for a, b in zip(text, under, strict=True)]
+            rows.append(Strip(_runs(merged, styles), self.columns))
+        return rows
+
+
+def braille_of(dots: npt.NDArray[np.bool_]) -> list[str]:
+    """Rows of braille characters from dots (4 rows, 2 columns); a cell without dots is a blank."""
+    height, width = dots.shape
+    blocks = dots.reshape(height // 4, 4, width // 2, 2)
+    codes = (blocks * _BRAILLE_BITS[None, :, None, :]).sum((1, 3))
+    return ["".join(chr(0x2800 + c) if c else " " for c in row) for row in codes.tolist()]
+
+
+def _runs(text: list[str], styles: list[Style]) -> list[Segment]:
+    segments = []
+    start = 0
+    for x in range(1, len(text) + 1):
+        if x == len(text) or styles[x] is not styles[start]:
+            segments.append(Segment("".join(text[start:x]), styles[start]))
+            start = x
+    return segments

@@ -1,0 +1,192 @@
+"""The middle panel: the symmetric error matrix. Every cell can be selected, hidden or not."""
+
+from rich.segment import Segment
+from rich.style import Style
+from textual import events
+from textual.binding import Binding
+from textual.geometry import Size
+from textual.message import Message
+from textual.scroll_view import ScrollView
+from textual.strip import Strip
+
+from hmi_client.matrix import SELF, Cell, Matrix, length_text, matrix_of
+from hmi_client.session import OperatorSession
+from hmi_client.text.cells import style
+from hmi_client.text.panel import PanelMixin
+from protocol.keys import ordered_pair
+
+NAME = style("#7fa6d1")
+DIM = style("#5c6672")
+TONES = {"verified": "#c8d0d8", "plausible": "#d9b35b", "ambiguous": "#d98a5b", None: "#5c6672"}
+RED, CURSOR = "#b00020", "#2f4f74"
+CLICKED = "•"
+MAX_NAME = 9
+
+
+class MatrixPanel(PanelMixin, ScrollView, can_focus=True):
+    """Errors of all pairs; the largest bold, those above the threshold a hyphen."""
+
+    TOPICS = ("fleet", "selection", "settings")
+    SLOW = ("fleet",)
+    BINDINGS = [  # noqa: RUF012, as Textual declares it
+        Binding("enter", "choose", "Select"),
+        Binding("up", "move(-1,0)", show=False),
+        Binding("down", "move(1,0)", show=False),
+        Binding("left", "move(0,-1)", show=False),
+        Binding("right", "move(0,1)", show=False),
+        Binding("shift+up", "move(-8,0)", show=False),
+        Binding("shift+down", "move(8,0)", show=False),
+        Binding("shift+left", "move(0,-8)", show=False),
+        Binding("shift+right", "move(0,8)", show=False),
+    ]
+
+    class Chosen(Message):
+        """A cell was chosen: the two robots, in the order row, column."""
+
+        def __init__(self, a: str, b: str) -> None:
+            super().__init__()
+            self.a, self.b = a, b
+
+    def __init__(self, session: OperatorSession) -> None:
+        super().__init__(id="matrix")
+        self.session = session
+        self.cursor = (0, 1)
+        self._matrix = Matrix((), "cm", {})
+        self._selected: tuple[str, str] | None = None
+
+    # ---- geometry --------------------------------------------------------------------------------
+
+    @property
+    def head(self) -> int:
+        """Columns of the names on the left."""
+        longest = max((len(name) for name in self._matrix.robots), default=2)
+        return min(longest, MAX_NAME) + 1
+
+    @property
+    def pitch(self) -> int:
+        """Columns per cell: the value, and one for the mark of correspondences."""
+        widest = max((len(cell.text) for cell in self._matrix.cells.values()), default=0)
+        return max(widest, min(self.head - 1, 6), 3) + 2
+
+    def cell_at(self, x: int, y: int) -> tuple[int, int] | None:
+        """Row and column of the cell under a place of the content area."""
+        count = len(self._matrix.robots)
+        column = (x - self.head + self.scroll_offset.x) // self.pitch
+        row = y - 1 + self.scroll_offset.y
+        inside = x >= self.head and y >= 1 and row < count and column < count
+        return (row, column) if inside else None
+
+    # ---- painting --------------------------------------------------------------------------------
+
+    def paint(self) -> list[Strip]:
+        session = self.session
+        if session.fleet is not None:
+            self._matrix = matrix_of(session.fleet, session.threshold_m)
+        count = len(self._matrix.robots)
+        size = Size(self.head + count * self.pitch, count + 1)
+        if size != self.virtual_size:
+            self.virtual_size = size
+            self.call_after_refresh(self.repaint)  # only then can it scroll that far
+        else:
+            self._follow_selection()
+        self.title(f"errors (rms), {self._matrix.unit}")
+        self.subtitle(f"- above {length_text(session.threshold_m)}")
+        rows = range(self.scroll_offset.y, self.scroll_offset.y + self.extent.height - 1)
+        lines = [self._line("", [self._column_name(c) for c in range(count)])]
+        for row in rows:
+            if row < count:
+                cells = [self._cell(row, column) for column in range(count)]
+                lines.append(self._line(self._matrix.robots[row], cells))
+        blank = Strip.blank(self.extent.width, DIM)
+        return lines + [blank] * (self.extent.height - len(lines))
+
+    def _line(self, name: str, cells: list[Segment]) -> Strip:
+        selected = name != "" and name in (self.session.pair or ())
+        paint = style("#ffffff", RED, True) if selected else NAME
+        head = Strip([Segment(shorten(name, self.head - 1).ljust(self.head - 1), paint)])
+        left, width = self.scroll_offset.x, self.extent.width - self.head
+        body = Strip(cells).crop(left, left + width)
+        gap = Strip([Segment(" ", DIM)])
+        return Strip.join([head, gap, body]).adjust_cell_length(self.extent.width, DIM)
+
+    def _column_name(self, column: int) -> Segment:
+        name = self._matrix.robots[column]
+        selected = name in (self.session.pair or ())
+        text = shorten(name, self.pitch - 1).rjust(self.pitch - 1) + " "
+        return Segment(text, style("#ff5050", bold=True) if selected else NAME)
+
+    def _cell(self, row: int, column: int) -> Segment:
+        a, b = self._matrix.robots[row], self._matrix.robots[column]
+        cell = self._matrix.at(a, b)
+        mark = CLICKED if cell.clicked else " "
+        selected = a != b and ordered_pair(a, b) == self.session.pair
+        at_cursor = (row, column) == self.cursor and self.has_focus
+        return Segment(
+            cell.text.rjust(self.pitch - 1) + mark, cell_style(cell, selected, at_cursor)
+        )
+
+    # ---- moving ----------------------------------------------------------------------------------
+
+    def watch_scroll_x(self, old_value: float, new_value: float) -> None:
+        super().watch_scroll_x(old_value, new_value)
+        self.repaint()
+
+    def watch_scroll_y(self, old_value: float, new_value: float) -> None:
+        super().watch_scroll_y(old_value, new_value)
+        self.repaint()
+
+    def _follow_selection(self) -> None:
+        """Puts the cursor on a pair that was selected elsewhere."""
+        pair, robots = self.session.pair, self._matrix.robots
+        if pair == self._selected or pair is None or not set(pair) <= set(robots):
+            return
+        self._selected = pair
+        if set(pair) != {robots[k] for k in self.cursor if k < len(robots)}:
+            self.cursor = (robots.index(pair[0]), robots.index(pair[1]))
+            self.call_after_refresh(self._keep_in_sight)
+
+    def _keep_in_sight(self) -> None:
+        row, column = self.cursor
+        left, top = self.scroll_offset
+        width, height = self.extent.width - self.head, self.extent.height - 1
+        x = min(max(left, (column + 1) * self.pitch - width), column * self.pitch)
+        y = min(max(top, row + 1 - height), row)
+        if (x, y) != (left, top):
+            self.scroll_to(x, y, animate=False)
+
+    def action_move(self, rows: int, columns: int) -> None:
+        last = max(len(self._matrix.robots) - 1, 0)
+        row, column = self.cursor
+        self.cursor = (min(max(row + rows, 0), last), min(max(column + columns, 0), last))
+        self._keep_in_sight()
+        self.repaint()
+
+    def action_choose(self) -> None:
+        robots = self._matrix.robots
+        row, column = self.cursor
+        if row != column and max(row, column) < len(robots):
+            self.post_message(self.Chosen(robots[row], robots[column]))
+
+    def on_click(self, event: events.Click) -> None:
+        offset = event.get_content_offset(self)
+        cell = self.cell_at(*offset) if offset is not None else None
+        if cell is not None:
+            self.cursor = cell
+            self.repaint()
+            self.action_choose()
+
+
+def cell_style(cell: Cell, selected: bool, at_cursor: bool) -> Style:
+    """Selected cells are red, the cursor is blue, values have the colour of their verdict."""
+    background = RED if selected else CURSOR if at_cursor else "#10141a"
+    if selected:
+        return style("#ffffff", "#e0263c" if at_cursor else RED, True)
+    colour = "#39424e" if cell.text == SELF else TONES.get(cell.verdict, "#5c6672")
+    if cell.bold:
+        return style("#ffffff", background, True)
+    return style(colour, background)
+
+
+def shorten(name: str, length: int) -> str:
+    """A name cut to a length, its end kept: that is where robots differ."""
+    return name if len(name) <= length else "…" + name[len(name) - length + 1 :]

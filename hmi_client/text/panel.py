@@ -1,0 +1,102 @@
+"""What the panels share: they hold finished strips and repaint only the spans that changed."""
+
+from collections.abc import Sequence
+
+from rich.segment import Segment
+from textual.geometry import Region, Size
+from textual.strip import Strip
+from textual.widget import Widget
+
+from hmi_client.session import OperatorSession
+from hmi_client.text.cells import style
+
+
+class PanelMixin(Widget):
+    """A widget over the line API that reads the session.
+
+    `TOPICS` says which changes of the session concern it; `SLOW` which of them may wait half a
+    second. `paint` returns the strips of its content.
+    """
+
+    TOPICS: tuple[str, ...] = ()
+    SLOW: tuple[str, ...] = ()
+    session: OperatorSession
+
+    def paint(self) -> list[Strip]:
+        """The strips of the whole content area."""
+        raise NotImplementedError
+
+    def repaint(self) -> None:
+        """Paints anew and refreshes only what differs from the screen."""
+        extent = self.extent
+        if extent.width < 2 or extent.height < 1:
+            return
+        strips = self.paint()
+        old, size = self._shown()
+        self._strips, self._painted = strips, extent
+        if size != extent or len(old) != len(strips):
+            self.refresh()
+            return
+        changed = [
+            Region(x, y, width, 1)
+            for y, (a, b) in enumerate(zip(old, strips, strict=True))
+            for x, width in changed_span(a, b)
+        ]
+        if changed:
+            self.refresh(*changed)
+
+    @property
+    def extent(self) -> Size:
+        """Size of the content in cells, without borders and scroll bars."""
+        return self.scrollable_content_region.size
+
+    def _shown(self) -> tuple[list[Strip], Size | None]:
+        return getattr(self, "_strips", []), getattr(self, "_painted", None)
+
+    def render_line(self, y: int) -> Strip:
+        strips, _ = self._shown()
+        width = self.size.width
+        if y < len(strips):
+            return strips[y].adjust_cell_length(width, style("#c8d0d8"))
+        return Strip.blank(width, style("#c8d0d8"))
+
+    def on_resize(self) -> None:
+        self.repaint()
+
+    def on_focus(self) -> None:
+        self.repaint()
+
+    def on_blur(self) -> None:
+        self.repaint()
+
+    def title(self, text: str) -> None:
+        """Sets the border's title if it is another one: setting it repaints the border."""
+        if self.border_title != text:
+            self.border_title = text
+
+    def subtitle(self, text: str) -> None:
+        """The same for the text in the lower border."""
+        if self.border_subtitle != text:
+            self.border_subtitle = text
+
+
+class Panel(PanelMixin, can_focus=True):
+    """A panel without scroll bars."""
+
+
+def changed_span(old: Strip, new: Strip) -> Sequence[tuple[int, int]]:
+    """The columns (start, width) in which two strips differ, at most one span."""
+    a: list[Segment] = list(old)
+    b: list[Segment] = list(new)
+    if a == b:
+        return ()
+    head = 0
+    while head < min(len(a), len(b)) and a[head] == b[head]:
+        head += 1
+    tail = 0
+    while tail < min(len(a), len(b)) - head and a[-1 - tail] == b[-1 - tail]:
+        tail += 1
+    start = sum(segment.cell_length for segment in b[:head])
+    end = sum(segment.cell_length for segment in b[len(b) - tail :])
+    width = max(old.cell_length, new.cell_length) - start - end
+    return ((start, max(width, 1)),)

@@ -1,0 +1,109 @@
+"""Running the text client: on a terminal, or without one for a picture of it."""
+
+import asyncio
+import logging
+import os
+import time
+from pathlib import Path
+
+from hmi_client.connection import Connection
+from hmi_client.errors import OperatorError
+from hmi_client.session import OperatorSession
+from hmi_client.text.app import FleetApp
+
+RETRY_TIMEOUT_S = 2.0  # per attempt to reach the router; the screen is there meanwhile
+
+
+def run_screen(where: Connection, fps: float, threshold_m: float, log: Path | None) -> None:
+    """Runs the app until the operator quits; it also starts without a router and waits for one."""
+    log_to_file(log or default_log())
+    session = OperatorSession(where.operator, threshold_m=threshold_m)
+    client = where.client(session, RETRY_TIMEOUT_S)
+    app = FleetApp(session, fps, lambda: client.failure)
+    client.start_in_background()
+    try:
+        app.run()
+    finally:
+        client.close()
+
+
+def take_screenshot(
+    where: Connection,
+    out: Path,
+    size: tuple[int, int],
+    timeout_s: float,
+    pair: str,
+    maximise: bool,
+    threshold_m: float,
+) -> bool:
+    """Writes an SVG of the screen; whether poses and both images had arrived by then.
+
+    Raises:
+        NoServerError: no server was heard.
+        OperatorError: the pair is no pair of known robots.
+    """
+    robots = pair.split(",") if pair else []
+    if len(robots) not in (0, 2):
+        raise OperatorError(f"'{pair}' is no pair: write R1,R2")
+    with where.server() as session:
+        session.set_threshold(threshold_m)
+        if robots:
+            session.select(robots[0], robots[1])
+        else:
+            session.next_question()
+        svg, complete = asyncio.run(_draw(session, size, timeout_s, maximise))
+    try:
+        out.write_text(svg, encoding="utf-8")
+    except OSError as error:
+        raise OperatorError(f"{out} cannot be written: {error.strerror}") from error
+    return complete
+
+
+async def _draw(
+    session: OperatorSession, size: tuple[int, int], timeout_s: float, maximise: bool
+) -> tuple[str, bool]:
+    app = FleetApp(session)
+    end = time.monotonic() + timeout_s
+    async with app.run_test(size=size) as pilot:
+        await pilot.pause(0.1)
+        if session.pair is not None:
+            app.images[0].focus()
+        if maximise:
+            app.action_maximise()
+        while not is_complete(session) and time.monotonic() < end:
+            await pilot.pause(0.1)
+        for panel in app.panels:
+            panel.repaint()
+        await pilot.pause(0.3)
+        for _ in range(20):  # the footer is composed anew after each change of focus
+            if app.query("FooterKey"):
+                break
+            await pilot.pause(0.1)
+        return app.export_screenshot(title="fleetpose"), is_complete(session)
+
+
+def is_complete(session: OperatorSession) -> bool:
+    """Whether poses and, with a pair selected, both images are there."""
+    images = all(session.picture(robot) is not None for robot in session.pair or ())
+    return bool(session.poses()) and images
+
+
+def default_log() -> Path:
+    """The log file in the user's state folder."""
+    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(state) / "fleetpose" / "hmi-client.log"
+
+
+def log_to_file(path: Path) -> None:
+    """Sends all logging to a file: anything on stderr would be drawn over the screen.
+
+    Raises:
+        OperatorError: the file cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handler = logging.FileHandler(path)
+    except OSError as error:
+        raise OperatorError(f"log file {path} cannot be written: {error.strerror}") from error
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)

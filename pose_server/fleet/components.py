@@ -1,0 +1,221 @@
+"""Which keyframes are joined: the bridge rule.
+
+An edge alone between two components always fits, so no solver can tell whether it is wrong.
+Components are therefore joined only by a verified edge, by the operator (an edge grown from clicks,
+or three clicks), by a robot's own odometry, or by plausible edges from different views that agree
+in a cycle. What is left over are bridges to ask about.
+"""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from pose_server.fleet.clicks import PointPairs, pose_from_clicks
+from pose_server.fleet.forest import Forest
+from pose_server.fleet.links import PLAUSIBLE, Link, link
+from pose_server.fleet.types import ClickFactor, SolveSettings
+from pose_server.geometry.errors import DegenerateGeometryError
+from pose_server.geometry.se3 import (
+    compose_covariance,
+    hat,
+    inverse,
+    log_so3,
+    rotation_angle,
+    transform,
+)
+from protocol.messages import ViewName
+
+Floats = npt.NDArray[np.floating]
+Hint = Callable[[int, int], Floats | None]
+"""T_a_b of two nodes from an earlier solution, None where it has none."""
+
+_MOST_COMPARED = 8  # plausible edges of one pair of components that are compared with each other
+
+
+@dataclass(frozen=True, eq=False)
+class Partition:
+    """Trees of keyframes, and per pair of trees the plausible edges that do not join them."""
+
+    forest: Forest
+    bridges: tuple[tuple[int, ...], ...]
+
+
+def partition(
+    names: Sequence[ViewName],
+    links: Sequence[Link],
+    joining: frozenset[int],
+    excluded: frozenset[int],
+    clicks: Iterable[tuple[int, int, ClickFactor]],
+    hint: Hint,
+    settings: SolveSettings,
+) -> Partition:
+    """Joins keyframes as far as the evidence allows.
+
+    Args:
+        names: the keyframes.
+        links: of the edges that are used.
+        joining: numbers of the edges that join alone.
+        excluded: numbers of edges found to be wrong; taken only where nothing else joins.
+        clicks: the operator's clicks with the numbers of their two nodes.
+        hint: relative poses of an earlier solution.
+        settings: tolerances.
+    """
+    forest = Forest(len(names))
+    strongest = sorted(
+        (one for one in links if one.edge in joining),
+        key=lambda one: (one.edge in excluded, -one.rank, one.size_m),
+    )
+    for one in strongest:
+        forest.join(one)
+    agreement = _Agreement(forest, names, hint, settings)
+    clicks = list(clicks)
+    doubtful = [one for one in links if one.edge not in joining and one.edge not in excluded]
+    doubtful.sort(key=lambda one: one.size_m)
+    while _join_by_agreement(agreement, doubtful) or _join_by_clicks(agreement, clicks):
+        pass
+    groups = _between(forest, doubtful)
+    return Partition(forest, tuple(tuple(_edges(group)) for group in groups.values()))
+
+
+def _edges(links: Iterable[Link]) -> list[int]:
+    return [one.edge for one in links if one.edge is not None]
+
+
+def _between(forest: Forest, links: Iterable[Link]) -> dict[tuple[int, int], list[Link]]:
+    """Links between different trees, by pair of trees, all in the direction of the pair."""
+    groups: dict[tuple[int, int], list[Link]] = defaultdict(list)
+    for one in links:
+        a, b = forest.component(one.a), forest.component(one.b)
+        if a < b:
+            groups[a, b].append(one)
+        elif b < a:
+            groups[b, a].append(one.reversed())
+    return groups
+
+
+@dataclass(frozen=True, eq=False)
+class _Agreement:
+    """Whether links close a cycle through the trees they connect."""
+
+    forest: Forest
+    names: Sequence[ViewName]
+    hint: Hint
+    settings: SolveSettings
+
+    def within(self, a: int, b: int) -> tuple[Floats, Floats]:
+        """T_a_b and its covariance within one tree."""
+        if a == b:
+            return np.eye(4), np.zeros((6, 6))
+        T, covariance = self.forest.path(a, b)
+        known = self.hint(a, b)
+        return (T if known is None else known), covariance
+
+    def distinct(self, one: Link, two: Link) -> bool:
+        """Whether two links between the same trees are different evidence."""
+        return any(
+            self.names[m].robot != self.names[k].robot
+            or np.linalg.norm(self.within(m, k)[0][:3, 3]) > self.settings.distinct_m
+            for m, k in ((one.a, two.a), (one.b, two.b))
+        )
+
+    def closes(self, cycle: Sequence[Link]) -> bool:
+        """Whether links, each beginning in the tree where the last one ended, lead back."""
+        T, covariance = np.eye(4), np.zeros((6, 6))
+        for k, one in enumerate(cycle):
+            for step, C in (
+                (one.T_a_b, one.left),
+                self.within(one.b, cycle[(k + 1) % len(cycle)].a),
+            ):
+                covariance = compose_covariance(T, covariance, C)
+                T = T @ step
+        turn, shift = rotation_angle(T[:3, :3]), float(np.linalg.norm(T[:3, 3]))
+        if turn > self.settings.agree_rotation_rad or shift > self.settings.agree_translation_m:
+            return False
+        xi = np.concatenate((log_so3(T[:3, :3]), T[:3, 3]))
+        distance2 = float(xi @ np.linalg.solve(covariance, xi))
+        return distance2 < float(chi2.ppf(self.settings.inlier_probability, 6))
+
+
+def _join_by_agreement(agreement: _Agreement, doubtful: Sequence[Link]) -> bool:
+    """Joins trees by plausible links that agree: two between the same trees, or a triangle."""
+    forest = agreement.forest
+    groups = _between(forest, doubtful)
+    joined = False
+    for group in groups.values():
+        for one, two in combinations(group[:_MOST_COMPARED], 2):
+            if agreement.distinct(one, two) and agreement.closes((one, two.reversed())):
+                joined |= forest.join(one)
+                break
+    if joined:
+        return True  # the trees are others now
+    neighbours: dict[int, set[int]] = defaultdict(set)
+    for a, b in groups:
+        neighbours[a].add(b)
+    for (a, b), group in groups.items():
+        for c in sorted(neighbours[a] & neighbours[b]):
+            cycle = (group[0], groups[b, c][0], groups[a, c][0].reversed())
+            separate = len({forest.component(k) for k in (a, b, c)}) == 3
+            if separate and agreement.closes(cycle):
+                joined |= forest.join(cycle[0]) | forest.join(cycle[1])
+    return joined
+
+
+def _join_by_clicks(agreement: _Agreement, clicks: Sequence[tuple[int, int, ClickFactor]]) -> bool:
+    """Joins the first two trees whose clicks, made in whatever views, give a relative pose."""
+    forest = agreement.forest
+    groups: dict[tuple[int, int], list[tuple[int, int, ClickFactor]]] = defaultdict(list)
+    for a, b, click in clicks:
+        if (pair := (forest.component(a), forest.component(b)))[0] != pair[1]:
+            groups[min(pair), max(pair)].append((a, b, click))
+    for (tree, _), group in groups.items():
+        if len(group) < 3:
+            continue
+        oriented = [
+            (a, b, c.p_a, c.p_b, c.C_a, c.C_b)
+            if forest.component(a) == tree
+            else (b, a, c.p_b, c.p_a, c.C_b, c.C_a)
+            for a, b, c in group
+        ]
+        ref_a, ref_b = oriented[0][:2]
+        in_a = [_moved(agreement, ref_a, a, p, C) for a, _, p, _, C, _ in oriented]
+        in_b = [_moved(agreement, ref_b, b, p, C) for _, b, _, p, _, C in oriented]
+        columns = (
+            np.array(column) for column in (*zip(*in_a, strict=True), *zip(*in_b, strict=True))
+        )
+        p_a, C_a, p_b, C_b = columns
+        try:
+            T, covariance = pose_from_clicks(
+                PointPairs(p_a, p_b, C_a, C_b), agreement.settings.inlier_probability
+            )
+        except DegenerateGeometryError:
+            continue  # they stay apart; the clicks wait for more
+        return forest.join(link(ref_a, ref_b, T, covariance, PLAUSIBLE))
+    return False
+
+
+def _moved(
+    agreement: _Agreement, ref: int, node: int, p: Floats, C: Floats
+) -> tuple[Floats, Floats]:
+    """A point of a node and its covariance in the frame of another node of the tree."""
+    T, covariance = agreement.within(ref, node)
+    q = transform(T, p[None])[0]
+    J = np.concatenate((-hat(q), np.eye(3)), axis=1)
+    R = T[:3, :3]
+    return q, R @ C @ R.T + J @ covariance @ J.T
+
+
+def hint_from(poses: Sequence[tuple[ViewName, Floats] | None]) -> Hint:
+    """A hint from earlier poses (root, T_root_node) per node, None where a node is new."""
+
+    def hint(a: int, b: int) -> Floats | None:
+        at_a, at_b = poses[a], poses[b]
+        if at_a is None or at_b is None or at_a[0] != at_b[0]:
+            return None
+        return inverse(at_a[1]) @ at_b[1]
+
+    return hint

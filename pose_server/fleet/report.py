@@ -1,0 +1,132 @@
+"""A settled problem as the frozen solution that the rest of the server reads."""
+
+from collections.abc import Iterable
+
+import gtsam
+import numpy as np
+from scipy.stats import chi2
+
+from pose_server.fleet import factors as gt
+from pose_server.fleet.clicks import PointPairs
+from pose_server.fleet.layout import FleetInput, Layout
+from pose_server.fleet.links import CONTESTED, VERDICT_OF_RANK, VERIFIED
+from pose_server.fleet.settle import Found, contested_edges
+from pose_server.fleet.types import (
+    Bridge,
+    ClickJudgement,
+    EdgeJudgement,
+    EdgeKey,
+    FleetSolution,
+    NodePose,
+)
+from pose_server.geometry.se3 import inverse, transform
+from protocol.messages import ViewName
+
+
+def solution_of(
+    state: FleetInput, layout: Layout, found: Found, wanted: set[ViewName], judged: bool
+) -> FleetSolution:
+    """The solution, with covariances of the wanted nodes."""
+    contested = contested_edges(layout, found)
+    uncertainty = _uncertainty(state, layout, found, wanted)
+    return FleetSolution(
+        _nodes(state, layout, found, contested, uncertainty, wanted),
+        _components(state, layout),
+        _edges(state, found, contested),
+        _clicks(state, layout, found),
+        tuple(_bridge(state, layout, group) for group in layout.parts.bridges),
+        judged,
+        found.outvoted,
+        uncertainty,
+    )
+
+
+def _nodes(
+    state: FleetInput,
+    layout: Layout,
+    found: Found,
+    contested: frozenset[int],
+    uncertainty: gt.Uncertainty,
+    wanted: set[ViewName],
+) -> dict[ViewName, NodePose]:
+    poses: dict[ViewName, NodePose] = {}
+    ranks: dict[int, int] = {}
+    for tree in layout.trees:
+        for r in tree:
+            node, link = state.nodes[r.node], r.link
+            if link is None:
+                ranks[r.node] = VERIFIED
+            else:
+                own = CONTESTED if link.edge in contested else link.rank
+                ranks[r.node] = min(ranks[link.a], own)
+            covariance, why = uncertainty.of(node) if node in wanted else (None, "not asked for")
+            poses[node] = NodePose(
+                found.poses[r.node],
+                state.nodes[tree[0].node],
+                VERDICT_OF_RANK[ranks[r.node]],
+                None if link is None else state.nodes[link.a],
+                covariance,
+                why,
+            )
+    return poses
+
+
+def _components(state: FleetInput, layout: Layout) -> dict[ViewName, tuple[ViewName, ...]]:
+    trees = sorted(layout.trees, key=lambda t: (state.nodes[t[0].node] != state.gauge, -len(t)))
+    return {state.nodes[t[0].node]: tuple(state.nodes[r.node] for r in t) for t in trees}
+
+
+def _edges(
+    state: FleetInput, found: Found, contested: frozenset[int]
+) -> dict[EdgeKey, EdgeJudgement]:
+    unused = EdgeJudgement(0.0, float("nan"), False)
+    judgements = {edge.key: unused for edge in state.edges}
+    for link, out, distance2 in zip(
+        found.links, found.fit.out.tolist(), found.fit.distance2.tolist(), strict=True
+    ):
+        if link.edge is not None:
+            judgements[state.edges[link.edge].key] = EdgeJudgement(
+                float(not out), distance2, out, link.edge in contested
+            )
+    return judgements
+
+
+def _clicks(state: FleetInput, layout: Layout, found: Found) -> dict[int, ClickJudgement]:
+    limit = float(chi2.ppf(state.settings.inlier_probability, 3))
+    used = {click.id for _, _, click in found.clicks}
+    judgements = {}
+    for a, b, click in state.clicks:
+        if layout.root[a] != layout.root[b]:
+            judgements[click.id] = ClickJudgement(False, float("nan"), float("nan"), False)
+            continue
+        T_a_b = inverse(found.poses[a]) @ found.poses[b]
+        pair = PointPairs(click.p_a[None], click.p_b[None], click.C_a[None], click.C_b[None])
+        distance2 = float(pair.distance2(T_a_b)[0])
+        residual = float(np.linalg.norm(click.p_a - transform(T_a_b, click.p_b[None])[0]))
+        judgements[click.id] = ClickJudgement(
+            click.id in used, residual, distance2, distance2 > limit
+        )
+    return judgements
+
+
+def _bridge(state: FleetInput, layout: Layout, group: tuple[int, ...]) -> Bridge:
+    edges = tuple(state.edges[k] for k in group)
+    a, b = (layout.root[state.number[view]] for view in (edges[0].a, edges[0].b))
+    return Bridge(state.nodes[a], state.nodes[b], edges)
+
+
+def _uncertainty(
+    state: FleetInput, layout: Layout, found: Found, wanted: Iterable[ViewName]
+) -> gt.Uncertainty:
+    """Marginals of the components with wanted nodes, each for itself: a bad one spoils no other."""
+    asked = {layout.root[state.number[node]] for node in wanted}
+    graphs = {root: gtsam.NonlinearFactorGraph() for root in asked}
+    for k in range(found.fit.graph.size()):
+        factor = found.fit.graph.at(k)
+        root = layout.root[factor.keys()[0]]  # a click's first key is its camera, too
+        if root in graphs:
+            graphs[root].push_back(factor)
+    marginals = {
+        root: gt.marginals_or_reason(graph, found.fit.values) for root, graph in graphs.items()
+    }
+    return gt.Uncertainty(state.number, found.poses, marginals, layout.root)

@@ -1,0 +1,228 @@
+"""Finds poses and outliers that fit each other.
+
+Between changes that could hide a wrong edge, plain least squares is enough. When edges contradict
+each other, new ones that a redundant graph outvotes are set aside at once; else all are weighed
+against each other from scratch.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from pose_server.fleet import factors as gt
+from pose_server.fleet.forest import Forest, Reached, Sets, without_bridges
+from pose_server.fleet.layout import FleetInput, Layout
+from pose_server.fleet.links import Link
+from pose_server.fleet.types import ClickFactor
+
+Floats = npt.NDArray[np.floating]
+Bools = npt.NDArray[np.bool_]
+
+_ROUNDS = 3  # of dropping edges at the border and taking back those that fit
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A least-squares answer.
+
+    Attributes:
+        out: (M,) which links were left out.
+        graph, values: the problem and its answer.
+        distance2: (M,) squared Mahalanobis distance of every link, also of those left out.
+    """
+
+    out: Bools
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    distance2: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What was settled.
+
+    Attributes:
+        fit: the poses and outliers that fit each other.
+        links: all links with both ends in one component, as `fit` orders them.
+        clicks: what was a factor of its own: two nodes and the click.
+        judged: whether all edges were weighed against each other.
+        outvoted: how many were set aside without that since the last time.
+    """
+
+    fit: Fit
+    links: list[Link]
+    clicks: list[tuple[int, int, ClickFactor]]
+    judged: bool
+    outvoted: int
+
+    @cached_property
+    def poses(self) -> list[Floats]:
+        """(4, 4) T_root_node per node."""
+        return gt.poses_in(self.fit.values)
+
+    @property
+    def outliers(self) -> frozenset[int]:
+        """Numbers of the edges left out."""
+        pairs = zip(self.links, self.fit.out, strict=True)
+        return frozenset(link.edge for link, out in pairs if out and link.edge is not None)
+
+
+def settle(
+    state: FleetInput,
+    layout: Layout,
+    excluded: frozenset[int],
+    fresh: frozenset[int],
+    outvoted: int,
+) -> Found:
+    """Poses and outliers that fit: every used edge is within the limit, every outlier beyond.
+
+    Args:
+        state: the input.
+        layout: components and start values.
+        excluded: numbers of the edges that were outliers so far.
+        fresh: numbers of the edges that no earlier solution knew.
+        outvoted: how many edges were set aside without weighing all since that was last done.
+    """
+    problem = _Problem(state, layout)
+    needed = {r.link.edge for tree in layout.trees for r in tree if r.link is not None}
+    without = excluded - needed
+    out = np.array([link.edge in without for link in problem.links], bool)
+    fit = problem.solve(out)
+    if not problem.violations(fit).any():
+        return problem.found(fit, False, outvoted)
+    new = np.array([link.edge in fresh for link in problem.links], bool) & problem.beyond_at_start()
+    if new.any() and outvoted + new.sum() <= state.settings.outvoted_limit:
+        fit = problem.solve(out | new)
+        if not problem.violations(fit).any() and _outvotes(layout, problem.links, fit.out, new):
+            return problem.found(fit, False, outvoted + int(new.sum()))
+    fit = problem.solve(problem.judged())
+    for _ in range(_ROUNDS):
+        violations = problem.violations(fit)
+        if not violations.any():
+            break
+        fit = problem.solve(fit.out | violations)
+    return problem.found(fit, True, 0)
+
+
+class _Problem:
+    """One layout as a least-squares problem, to be solved for several sets of outliers."""
+
+    def __init__(self, state: FleetInput, layout: Layout) -> None:
+        root = layout.root
+        self._settings = state.settings
+        self.links = [link for link in state.links if root[link.a] == root[link.b]]
+        merged = {
+            frozenset((link.a, link.b))
+            for link in state.links
+            if link.edge is not None and state.edges[link.edge].operator
+        }
+        self._clicks = [
+            (a, b, click)
+            for a, b, click in state.clicks
+            if root[a] == root[b] and frozenset((a, b)) not in merged
+        ]
+        edges = [state.edges[link.edge] for link in self.links if link.edge is not None]
+        self._certain = np.array(
+            [edge.kind == "odometry" and edge.verdict == "verified" for edge in edges], bool
+        )
+        self._factors = [state.factors[link.edge] for link in self.links if link.edge is not None]
+        self._always = [
+            *(gt.prior(tree[0].node, gtsam.Pose3()) for tree in layout.trees),
+            *gt.click_factors(self._clicks, state.settings.click_robust_sigmas),
+        ]
+        self._start = gt.values_of(layout.start, self._clicks)
+        self._n = len(state.nodes)
+        self._limit = float(chi2.ppf(state.settings.inlier_probability, 6))
+
+    def solve(self, out: Bools) -> Fit:
+        """Least squares without the outliers; those that then fit come back."""
+        fit = self._least_squares(out, self._start)
+        for _ in range(_ROUNDS):
+            fits = fit.out & (fit.distance2 <= self._limit)
+            if not fits.any():
+                break
+            fit = self._least_squares(fit.out & ~fits, fit.values)
+        return fit
+
+    def violations(self, fit: Fit) -> Bools:
+        """Used links that don't fit."""
+        return (fit.distance2 > self._limit) & ~fit.out & ~self._certain
+
+    def beyond_at_start(self) -> Bools:
+        """Links that don't fit the start values."""
+        return gt.distances2(self._factors, self._start) > self._limit
+
+    def judged(self) -> Bools:
+        """Outliers by graduated non-convexity over all links."""
+        sets = Sets(self._n)
+        for link in self.links:
+            sets.join(link.a, link.b)
+        inliers = gt.judge(
+            self._factors,
+            np.nonzero(self._certain)[0].tolist(),
+            sorted({sets.find(k) for k in range(self._n)}),
+            self._start,
+            self._settings.inlier_probability,
+        )
+        return ~inliers & ~self._certain
+
+    def found(self, fit: Fit, judged: bool, outvoted: int) -> Found:
+        return Found(fit, self.links, self._clicks, judged, outvoted)
+
+    def _least_squares(self, out: Bools, start: gtsam.Values) -> Fit:
+        kept = (factor for factor, drop in zip(self._factors, out, strict=True) if not drop)
+        graph = gt.graph_of(self._always, kept)
+        values = gt.least_squares(graph, start)
+        return Fit(out, graph, values, gt.distances2(self._factors, values))
+
+
+def contested_edges(layout: Layout, found: Found) -> frozenset[int]:
+    """Bridges that an equally trusted edge contradicts: one of the two is wrong, but which?"""
+    if not found.fit.out.any():
+        return frozenset()
+    sets = _firm(layout, found.links, found.fit.out)
+    reached = {r.node: r for tree in layout.trees for r in tree}
+    contested = set()
+    for link, out in zip(found.links, found.fit.out, strict=True):
+        for step in _path(reached, link.a, link.b) if out else ():
+            bridge = sets.find(step.a) != sets.find(step.b)
+            if bridge and step.edge is not None and link.rank >= step.rank:
+                contested.add(step.edge)
+    return frozenset(contested)
+
+
+def _outvotes(layout: Layout, links: list[Link], out: Bools, new: Bools) -> bool:
+    """Whether the new links left out contradict parts that hold without any single link."""
+    sets = _firm(layout, links, out)
+    aside = (link for link, is_out in zip(links, out & new, strict=True) if is_out)
+    return all(sets.find(link.a) == sets.find(link.b) for link in aside)
+
+
+def _firm(layout: Layout, links: list[Link], out: Bools) -> Sets:
+    """Sets of nodes that inliers join in more than one way."""
+    n = len(layout.root)
+    forest = Forest(n)
+    inliers = [link for link, is_out in zip(links, out, strict=True) if not is_out]
+    by_clicks = [
+        r.link for tree in layout.trees for r in tree if r.link is not None and r.link.edge is None
+    ]
+    chords = [(link.a, link.b) for link in (*by_clicks, *inliers) if not forest.join(link)]
+    roots = [k for k in range(n) if forest.component(k) == k]
+    return without_bridges(n, [r for k in roots for r in forest.walk(k, 0)], chords)
+
+
+def _path(reached: Mapping[int, Reached], a: int, b: int) -> list[Link]:
+    """The links of the tree between two nodes of it."""
+    path = []
+    while a != b:
+        lower = a if reached[a].depth >= reached[b].depth else b
+        link = reached[lower].link
+        assert link is not None  # the paths meet before the root of the tree
+        path.append(link)
+        a, b = (link.a, b) if lower == a else (a, link.a)
+    return path

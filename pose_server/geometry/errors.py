@@ -1,0 +1,5 @@
+"""What geometry raises when the input determines nothing; callers turn it into a rejection with its reason."""
+
+
+class DegenerateGeometryError(ValueError):
+    """The points given do not determine what was asked; the text names the numbers."""

@@ -1,0 +1,179 @@
+"""Runs alignments in worker processes: one job function, views prepared once per worker, dead workers replaced."""
+
+import ctypes
+import os
+import signal
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing import get_context
+from typing import Literal
+
+from pose_server.pairs.align import PairResult, Start, align_pair
+from pose_server.pairs.starts import Clicks, operator_start, with_operator_fallback
+from pose_server.pairs.views import PreparedView, prepare_view
+from protocol.codec import unpack
+from protocol.errors import CodecError
+from protocol.messages import View, ViewName
+
+MAX_TRIES = 2
+TRACK_POINTS = 700  # salient points used to follow a robot through its own views
+_CACHED_VIEWS = 64
+_PR_SET_PDEATHSIG, _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = 1, -1, -3
+Purpose = Literal["clicks", "track", "pair"]
+
+
+@dataclass(frozen=True)
+class EncodedView:
+    """A view as it came over the wire; workers prepare it once."""
+
+    name: ViewName
+    payload: bytes
+
+
+@dataclass(frozen=True)
+class Job:
+    """Align two views.
+
+    Attributes:
+        purpose: for clicks, to follow one robot's own motion (i is its keyframe), or for a pair of robots.
+        i, j: the views.
+        starts: poses to begin from, camera j in camera i.
+        features: whether to look for a start by features as well.
+        clicks: the operator's correspondences between the two views.
+    """
+
+    purpose: Purpose
+    i: EncodedView
+    j: EncodedView
+    starts: tuple[Start, ...] = ()
+    features: bool = True
+    clicks: Clicks | None = None
+
+
+@dataclass(frozen=True)
+class Done:
+    """A job's end: its result, or why there is none."""
+
+    job: Job
+    result: PairResult | None
+    error: str = ""
+    wall_ms: float = 0.0
+    tries: int = 1
+    worker_died: bool = False
+
+
+class Engine:
+    """A pool of local worker processes.
+
+    Used from one thread; `report` is called from the pool's thread and must only store. Every `Done` is handed back
+    to `retire`, which runs the job again where its worker died.
+    """
+
+    def __init__(self, workers: int, report: Callable[[Done], None]) -> None:
+        self.workers = workers
+        self.running = 0
+        self._report = report
+        self._pool = _pool(workers)
+
+    @property
+    def idle(self) -> int:
+        """How many more jobs keep all workers busy; one waits in line so that none pauses."""
+        return self.workers + 1 - self.running
+
+    def submit(self, job: Job, tries: int = 1) -> None:
+        """Runs a job; its end is reported."""
+        began = time.perf_counter()
+        try:
+            future = self._pool.submit(run_job, job)
+        except BrokenProcessPool:
+            self._pool.shutdown(wait=False)
+            self._pool = _pool(self.workers)
+            future = self._pool.submit(run_job, job)
+        self.running += 1
+        future.add_done_callback(lambda ended: self._ended(job, tries, began, ended))
+
+    def retire(self, done: Done) -> bool:
+        """Takes a finished job off the books; False if it runs again, because its worker died."""
+        self.running -= 1
+        if done.worker_died and done.tries < MAX_TRIES:
+            self.submit(done.job, done.tries + 1)
+            return False
+        return True
+
+    def _ended(self, job: Job, tries: int, began: float, future: "Future[PairResult]") -> None:
+        if future.cancelled():
+            return
+        error = future.exception()
+        wall_ms = 1e3 * (time.perf_counter() - began)
+        if error is None:
+            self._report(Done(job, future.result(), "", wall_ms, tries))
+        else:
+            died = isinstance(error, BrokenProcessPool)
+            text = f"{type(error).__name__}: {error} (try {tries})"
+            self._report(Done(job, None, text, wall_ms, tries, died))
+
+    def close(self) -> None:
+        """Ends the workers."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        for process in list((self._pool._processes or {}).values()):
+            process.terminate()
+
+
+def _pool(workers: int) -> ProcessPoolExecutor:
+    """A pool whose workers start at once, so that the first view does not wait for their imports."""
+    pool = ProcessPoolExecutor(
+        workers, mp_context=get_context("spawn"), initializer=_start_worker, initargs=(os.getpid(),)
+    )
+    for _ in range(workers):
+        pool.submit(os.getpid)
+    return pool
+
+
+def _start_worker(parent: int) -> None:
+    """One thread per worker, ends with its parent, and leaves Ctrl-C to it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    libc = ctypes.CDLL(None)
+    libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
+    libc.mallopt(_M_TRIM_THRESHOLD, 1 << 29)  # scratch arrays are reused instead of given back:
+    libc.mallopt(_M_MMAP_THRESHOLD, 1 << 25)  # page faults had cost more than the arithmetic
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(1)
+
+
+_prepared: OrderedDict[ViewName, PreparedView] = OrderedDict()
+
+
+def run_job(job: Job) -> PairResult:
+    """Aligns the two views of a job; runs in a worker."""
+    i, j = _view(job.i), _view(job.j)
+    if job.purpose == "track":
+        i, j = i.strongest(TRACK_POINTS), j.strongest(TRACK_POINTS)
+    starts = list(job.starts)
+    operator = None
+    if job.clicks is not None:
+        operator = operator_start(i, j, job.clicks, job.starts)
+        if operator is not None:
+            starts.append(operator.start)
+    result = align_pair(i, j, starts, job.features)
+    return with_operator_fallback(result, operator, i, j)
+
+
+def _view(encoded: EncodedView) -> PreparedView:
+    if encoded.name in _prepared:
+        _prepared.move_to_end(encoded.name)
+        return _prepared[encoded.name]
+    view = prepare_view(unpack(View, encoded.payload))
+    if view.name != encoded.name:
+        raise CodecError(f"view {encoded.name} holds {view.name}")
+    _prepared[encoded.name] = view
+    while len(_prepared) > _CACHED_VIEWS:
+        _prepared.popitem(last=False)
+    return view

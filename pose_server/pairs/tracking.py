@@ -1,0 +1,161 @@
+"""Following one robot through its own views: which keyframe a view hangs on, and when it becomes one itself.
+
+A view that moved little hangs on its keyframe by their alignment. One that moved far hangs on another keyframe if the
+robot came back to it, and becomes a keyframe otherwise. One that aligns with nothing starts a new segment.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from pose_server.geometry.se3 import rotation_angle
+from pose_server.pairs.align import PairResult
+from protocol.messages import Verdict, ViewName
+
+Floats = npt.NDArray[np.floating]
+
+FAR_SHARE = 0.12  # of the median depth: a view farther from its keyframe becomes one
+FAR_RAD = 0.2
+LITTLE_OVERLAP = 0.4
+_TRIES = 3  # keyframes that a view is tried against before it starts a segment
+
+
+@dataclass(frozen=True)
+class Attached:
+    """A view hanging on a keyframe (maybe itself): T_keyframe_view of their cameras, covariance left."""
+
+    view: ViewName
+    keyframe: ViewName
+    T_keyframe_view: Floats
+    covariance: Floats
+    verdict: Verdict
+
+
+Step = Literal["attached", "try", "keyframe", "segment"]
+
+
+@dataclass
+class Track:
+    """One robot's keyframes and where its views hang.
+
+    Attributes:
+        keyframes: oldest first.
+        attached: of all kept views that hang somewhere.
+        reference: the keyframe that the next view is tried against first.
+        newest: the newest view that hangs somewhere.
+    """
+
+    keyframes: list[ViewName] = field(default_factory=list)
+    attached: dict[ViewName, Attached] = field(default_factory=dict)
+    reference: ViewName | None = None
+    newest: Attached | None = None
+    _tried: dict[ViewName, list[ViewName]] = field(default_factory=dict)
+    _fallback: dict[ViewName, Attached] = field(default_factory=dict)
+
+    def begin(self, view: ViewName) -> None:
+        """Makes a view a keyframe that hangs on nothing else."""
+        if view not in self.keyframes:
+            self.keyframes.append(view)
+        self._hang(Attached(view, view, np.eye(4), np.zeros((6, 6)), "verified"))
+
+    def recall(self, view: ViewName) -> None:
+        """Makes a view of an earlier life a keyframe, without taking it for where the robot is now."""
+        if view not in self.keyframes:
+            self.keyframes.append(view)
+        self.attached[view] = Attached(view, view, np.eye(4), np.zeros((6, 6)), "verified")
+
+    def next_try(self, view: ViewName, likely: list[ViewName]) -> ViewName | None:
+        """The keyframe to align a view with next: the reference, then the likeliest others; None to give up."""
+        tried = self._tried.setdefault(view, [])
+        order = ([self.reference] if self.reference else []) + likely
+        left = [
+            keyframe for keyframe in order if keyframe in self.keyframes and keyframe not in tried
+        ]
+        if not left or len(tried) >= _TRIES:
+            return None
+        tried.append(left[0])
+        return left[0]
+
+    def take(
+        self,
+        view: ViewName,
+        keyframe: ViewName,
+        result: PairResult,
+        depth_m: float,
+        nearer: ViewName | None,
+    ) -> Step:
+        """What follows from aligning a view with a keyframe.
+
+        Args:
+            nearer: another keyframe that the view is likely near to, if any.
+
+        Returns:
+            attached: it hangs on the keyframe; try: align it with the next one; keyframe: it became one, linked
+            to the one it was aligned with; segment: it aligned with nothing and became one by itself.
+        """
+        if not accepted(result):
+            return "try"
+        assert result.T_i_j is not None and result.covariance is not None
+        here = Attached(view, keyframe, result.T_i_j, result.covariance, result.verdict)
+        if not is_far(result, depth_m):
+            self._hang(here)
+            return "attached"
+        if nearer is not None and nearer not in self._tried.get(view, []):
+            self._fallback[view] = here
+            self.reference = nearer
+            return "try"
+        return self._promote(here)
+
+    def give_up(self, view: ViewName) -> Step:
+        """No keyframe is left to try: it becomes a keyframe, linked if it aligned with a far one before."""
+        if (fallback := self._fallback.get(view)) is not None:
+            return self._promote(fallback)
+        self.begin(view)
+        return "segment"
+
+    def link_of(self, view: ViewName) -> Attached | None:
+        """For a view that was promoted: how it hung on the keyframe it was aligned with."""
+        return self._fallback.pop(view, None)
+
+    def forget(self, views: set[ViewName]) -> None:
+        """Drops views that are no longer kept."""
+        for view in views:
+            self.attached.pop(view, None)
+            self._tried.pop(view, None)
+            self._fallback.pop(view, None)
+        self.keyframes = [keyframe for keyframe in self.keyframes if keyframe not in views]
+
+    def _promote(self, here: Attached) -> Step:
+        self.begin(here.view)
+        self._fallback[here.view] = here
+        return "keyframe"
+
+    def _hang(self, here: Attached) -> None:
+        self.attached[here.view] = here
+        self.reference = here.keyframe
+        self.newest = here
+        self._tried.pop(here.view, None)
+        self._fallback.pop(here.view, None)
+
+
+def accepted(result: PairResult) -> bool:
+    """Whether an alignment may link two views."""
+    return (
+        result.T_i_j is not None
+        and result.covariance is not None
+        and result.verdict in ("verified", "plausible")
+    )
+
+
+def is_far(result: PairResult, depth_m: float) -> bool:
+    """Whether a view is too far from its keyframe to hang on it."""
+    assert result.T_i_j is not None
+    return moved(result.T_i_j, depth_m) > 1.0 or result.overlap < LITTLE_OVERLAP
+
+
+def moved(T: Floats, depth_m: float) -> float:
+    """How far a relative pose is, 1 at the border of `far`."""
+    shift = float(np.linalg.norm(T[:3, 3])) / (FAR_SHARE * depth_m)
+    return max(shift, rotation_angle(T[:3, :3]) / FAR_RAD)

@@ -1,0 +1,129 @@
+"""A received view made ready for alignment: decoded, lifted, with search trees built when first needed."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from pose_server.geometry.evidence import Surface
+from pose_server.geometry.icp import DenseCloud, dense_cloud
+from pose_server.geometry.noise import PointNoise
+from pose_server.geometry.observed import Observed
+from protocol.clouds import decode_salient, points_of
+from protocol.errors import CodecError
+from protocol.messages import NoiseModel, View, ViewName
+
+Floats = npt.NDArray[np.floating]
+
+DENSE_POINTS = 10_000  # from here on a cloud is dense enough for ICP
+_CLOUD_POINTS = 40_000  # of a dense cloud, used for its surface and for ICP
+_SAMPLE_POINTS = 1_500
+_ICP_PIXELS = 8.0  # lateral resolution of ICP, in pixels at the median depth
+
+
+@dataclass(frozen=True)
+class PreparedView:
+    """One view, ready to be aligned.
+
+    Attributes:
+        name: the view.
+        observed: its salient points.
+        descriptors: (N, D) float32 of unit length.
+        surface: its cloud as pixels with depths.
+        noise: the camera's stated noise.
+        median_depth_m: of the cloud.
+    """
+
+    name: ViewName
+    observed: Observed
+    descriptors: npt.NDArray[np.float32]
+    surface: Surface
+    points: Floats
+    noise: PointNoise
+    median_depth_m: float
+
+    def strongest(self, count: int) -> "PreparedView":
+        """The same view with its strongest salient points only: enough where two views are nearly the same."""
+        if len(self.descriptors) <= count:
+            return self
+        o = self.observed
+        observed = Observed(
+            o.K,
+            o.size,
+            o.uv[:count],
+            o.inverse_depth[:count],
+            o.inverse_depth_sigma[:count],
+            o.pixel_sigma_px,
+        )
+        return replace(self, observed=observed, descriptors=self.descriptors[:count])
+
+    @property
+    def dense(self) -> bool:
+        """Whether ICP makes sense."""
+        return len(self.points) >= DENSE_POINTS
+
+    @cached_property
+    def point_tree(self) -> cKDTree:
+        """Of the lifted salient points, for the regression error."""
+        return cKDTree(self.observed.points[self.observed.lifted])
+
+    @cached_property
+    def cloud(self) -> DenseCloud:
+        """The cloud prepared for ICP."""
+        lateral = _ICP_PIXELS * self.median_depth_m / self.observed.focal_px
+        return dense_cloud(self.points, max(lateral, 1e-3 * self.median_depth_m))
+
+
+def point_noise(noise: NoiseModel) -> PointNoise:
+    """The geometry's noise model of the wire's."""
+    return PointNoise(noise.pixel_sigma_px, noise.depth_sigma_m)
+
+
+def prepare_view(view: View) -> PreparedView:
+    """Decodes and prepares a view.
+
+    Raises:
+        CodecError: the cloud or the salient points are damaged, or there are no points at all.
+    """
+    points = points_of(view, _CLOUD_POINTS)
+    if len(points.xyz) < 10:
+        raise CodecError(f"view {view.name} has {len(points.xyz)} points with depth, need 10")
+    salient = decode_salient(view.salient)
+    camera = view.camera
+    descriptors = salient.descriptors.astype(np.float32)
+    norms = np.linalg.norm(descriptors, axis=1, keepdims=True)
+    observed = Observed(
+        K=camera.K,
+        size=(camera.width, camera.height),
+        uv=salient.uv.astype(np.float64),
+        inverse_depth=salient.inverse_depth.astype(np.float64),
+        inverse_depth_sigma=salient.inverse_depth_sigma.astype(np.float64),
+        pixel_sigma_px=camera.noise.pixel_sigma_px,
+    )
+    noise = point_noise(camera.noise)
+    median = float(np.median(points.xyz[:, 2]))
+    surface = Surface(
+        K=camera.K,
+        size=observed.size,
+        uv=points.uv,
+        z=points.xyz[:, 2],
+        sample=_sample(points.xyz, _SAMPLE_POINTS),
+        depth_sigma=float(noise.depth_sigma(np.array(median))) / median,
+    )
+    return PreparedView(
+        name=view.name,
+        observed=observed,
+        descriptors=descriptors / np.maximum(norms, 1e-6),
+        surface=surface,
+        points=points.xyz,
+        noise=noise,
+        median_depth_m=median,
+    )
+
+
+def _sample(points: Floats, count: int) -> Floats:
+    if len(points) <= count:
+        return points
+    return points[np.random.default_rng(1).choice(len(points), count, replace=False)]

@@ -1,0 +1,281 @@
+"""The server's knowledge as messages: poses, alignments, the fleet's state."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pose_server.geometry.se3 import inverse
+from pose_server.pairs.align import PairResult
+from pose_server.questions import questions
+from pose_server.settings import ServerSettings
+from pose_server.site import Robot, Site, body_pose, in_fleet, position_sigma
+from protocol.messages import (
+    Alignment,
+    FleetState,
+    PairCell,
+    PairError,
+    RelativePose,
+    RobotPose,
+    RobotState,
+    ViewName,
+)
+
+Floats = npt.NDArray[np.floating]
+
+_JUMP_SIGMAS = 3.0
+_JUMP_SHARE = 0.01  # of the median depth: smaller moves are never called jumps
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """What every message of the server carries."""
+
+    epoch: str
+    now_s: float
+    now_ns: int
+
+
+def robot_pose(
+    site: Site, robot: Robot, settings: ServerSettings, stamp: Stamp
+) -> RobotPose | None:
+    """The newest pose of a robot, or None while nothing is known but itself."""
+    newest = robot.track.newest
+    if newest is None or site.solution is None:
+        return None
+    placed = site.camera_pose(newest.view)
+    if placed is None:
+        return None
+    root, T_root_camera, covariance_root = placed
+    if covariance_root is None:
+        return None
+    kept = site.views[newest.view]
+    T_fleet_root = site.fleet_from_root(root)
+    T = body_pose(T_fleet_root, T_root_camera, kept.camera.T_robot_camera)
+    covariance = in_fleet(T_fleet_root, covariance_root)
+    component = site.component_name(root)
+    age_s = max(0.0, stamp.now_s - kept.received_s)
+    verdict = site.solution.nodes[newest.keyframe].verdict
+    located = not _why_not(site, settings, root, verdict, age_s, T, covariance, kept.median_depth_m)
+    jumped = _jumped(site, robot, newest.keyframe, T_fleet_root, component)
+    robot.poses_sent += 1
+    return RobotPose(
+        robot=robot.name,
+        view=newest.view,
+        stamp_ns=kept.stamp_ns,
+        T_fleet_robot=T,
+        covariance=covariance,
+        component=component,
+        located=located,
+        verdict=verdict,
+        gauge_revision=site.gauge_revision,
+        jumped=jumped,
+        age_s=age_s,
+        valid_until_ns=kept.stamp_ns + int(1e9 * settings.fresh_s),
+        errors=_errors(site, robot.name),
+        server_epoch=stamp.epoch,
+        n=robot.poses_sent,
+    )
+
+
+def why_not_located(site: Site, robot: Robot, settings: ServerSettings, now_s: float) -> str:
+    """Why a robot is not located; empty if it is."""
+    if robot.newest is None:
+        return (
+            "alive, but no view arrived: is its camera running, may it publish?"
+            if robot.alive
+            else "not there"
+        )
+    if not robot.alive:
+        return "its token is gone: the agent ended or lost the network"
+    pose = robot.published
+    if pose is None:
+        return "its views are not aligned yet"
+    if now_s - site.views[robot.newest].received_s > settings.fresh_s:
+        return f"its newest view is {now_s - site.views[robot.newest].received_s:.0f} s old"
+    placed = site.camera_pose(pose.view) if pose.view in site.views else None
+    if placed is None or placed[2] is None:
+        return "its newest view does not hang on the fleet's graph"
+    kept = site.views[pose.view]
+    age_s = now_s - kept.received_s
+    return _why_not(
+        site,
+        settings,
+        placed[0],
+        pose.verdict,
+        age_s,
+        pose.T_fleet_robot,
+        pose.covariance,
+        kept.median_depth_m,
+    )
+
+
+def _why_not(
+    site: Site,
+    settings: ServerSettings,
+    root: ViewName,
+    verdict: str,
+    age_s: float,
+    T: Floats,
+    covariance: Floats,
+    depth_m: float,
+) -> str:
+    if site.gauge is None or root != site.gauge:
+        return "not joined to the fleet's anchor: no verified alignment with it, directly or through others"
+    if age_s > settings.fresh_s:
+        return (
+            f"its last pose is {age_s:.0f} s old: its newer views align with none of its keyframes"
+        )
+    if verdict == "ambiguous":
+        return "the links to it contradict each other"
+    share = position_sigma(T, covariance) / depth_m
+    if share > settings.located_sigma:
+        return f"its position is known to {share:.1%} of the depth only, need {settings.located_sigma:.0%}"
+    return ""
+
+
+def _jumped(
+    site: Site, robot: Robot, keyframe: ViewName, T_fleet_root: Floats, component: str
+) -> bool:
+    """Whether the same keyframe stands elsewhere than when it was published last, or in another component."""
+    assert site.solution is not None
+    node = site.solution.nodes[keyframe]
+    T = T_fleet_root @ node.T_root_camera
+    before, robot.published_keyframe = robot.published_keyframe, (keyframe, T)
+    if robot.published is None or before is None:
+        return False
+    if robot.published.component != component:
+        return True
+    if before[0] != keyframe:
+        return False
+    shift = float(np.linalg.norm(T[:3, 3] - before[1][:3, 3]))
+    depth = site.views[keyframe].median_depth_m
+    sigma = 0.0 if node.covariance is None else position_sigma(node.T_root_camera, node.covariance)
+    return shift > max(_JUMP_SHARE * depth, _JUMP_SIGMAS * sigma)
+
+
+def _errors(site: Site, name: str) -> tuple[PairError, ...]:
+    found = []
+    for (a, b), record in site.pairs.items():
+        if name in (a, b) and a != b and record.best is not None:
+            other = b if name == a else a
+            found.append(
+                PairError(other=other, rmse_m=record.best.rmse_m, verdict=record.best.verdict)
+            )
+    return tuple(found)
+
+
+def alignment(i: ViewName, j: ViewName, result: PairResult, stamp: Stamp, n: int) -> Alignment:
+    """An alignment's message."""
+    information = None if result.covariance is None else np.linalg.inv(result.covariance)
+    return Alignment(
+        view_i=i,
+        view_j=j,
+        T_i_j=result.T_i_j,
+        covariance=result.covariance,
+        information=information,
+        verdict=result.verdict,
+        reasons=result.reasons,
+        regression_error_m2=result.regression_error_m2,
+        regression_count=result.regression_count,
+        rmse_m=result.rmse_m,
+        overlap=result.overlap,
+        inliers=result.inliers,
+        start=result.start,
+        timings_ms=result.timings_ms,
+        server_epoch=stamp.epoch,
+        n=n,
+    )
+
+
+def fleet_state(site: Site, settings: ServerSettings, stamp: Stamp, n: int) -> FleetState:
+    """Everything a late client needs."""
+    robots = tuple(
+        RobotState(
+            robot=name,
+            alive=robot.alive,
+            newest_view=robot.newest,
+            views_kept=site.views.count(name),
+            pose=robot.published,
+            why_not=why_not_located(site, robot, settings, stamp.now_s),
+        )
+        for name, robot in sorted(site.robots.items())
+    )
+    return FleetState(
+        server_epoch=stamp.epoch,
+        n=n,
+        stamp_ns=stamp.now_ns,
+        anchor=site.anchor,
+        gauge_revision=site.gauge_revision,
+        up_assumed=site.gauge is None or site.views[site.gauge].up_camera is None,
+        robots=robots,
+        pairs=pair_cells(site, stamp.now_s),
+        questions=questions(site),
+        events=tuple(site.events),
+    )
+
+
+def pair_cells(site: Site, now_s: float) -> tuple[PairCell, ...]:
+    """The error matrix: one cell per pair of robots."""
+    names = sorted(site.robots)
+    cells = []
+    for k, a in enumerate(names):
+        for b in names[k + 1 :]:
+            cells.append(_cell(site, a, b, now_s))
+    return tuple(cells)
+
+
+def _cell(site: Site, a: str, b: str, now_s: float) -> PairCell:
+    record = site.pairs.get((a, b))
+    clicks = len(list(site.book.of(a, b)))
+    if record is not None and record.best is not None:
+        best = record.best
+        return PairCell(
+            i=a,
+            j=b,
+            state="tried",
+            verdict=best.verdict,
+            rmse_m=best.rmse_m,
+            regression_error_m2=best.regression_error_m2,
+            regression_count=best.regression_count,
+            overlap=best.overlap,
+            age_s=max(0.0, now_s - record.last_s),
+            correspondences=clicks,
+        )
+    through = _same_component(site, a, b)
+    return PairCell(
+        i=a, j=b, state="through_others" if through else "untried", correspondences=clicks
+    )
+
+
+def _same_component(site: Site, a: str, b: str) -> bool:
+    at_a, at_b = site.robots[a].track.newest, site.robots[b].track.newest
+    return at_a is not None and at_b is not None and site.joined(at_a.view, at_b.view)
+
+
+def relative_pose(site: Site, a: str, b: str, now_s: float) -> RelativePose | str:
+    """T_a_b of two robots' bodies, or why there is none."""
+    for name in (a, b):
+        if name not in site.robots:
+            return (
+                f"no robot '{name}' is known; known are: {', '.join(sorted(site.robots)) or 'none'}"
+            )
+    at_a, at_b = site.robots[a].track.newest, site.robots[b].track.newest
+    if at_a is None or at_b is None or site.solution is None:
+        return f"'{a if at_a is None else b}' has no aligned view yet"
+    relative = site.solution.relative(at_a.keyframe, at_b.keyframe)
+    if relative is None or relative.covariance is None:
+        return f"nothing joins '{a}' and '{b}': they are in different components of the fleet"
+    body_a, body_b = (site.views[at.view].camera.T_robot_camera for at in (at_a, at_b))
+    T_body_a = body_a @ inverse(at_a.T_keyframe_view)
+    T = T_body_a @ relative.T_a_b @ at_b.T_keyframe_view @ inverse(body_b)
+    ages = [now_s - site.views[at.view].received_s for at in (at_a, at_b)]
+    through = dict.fromkeys(view.robot for view in relative.path if view.robot not in (a, b))
+    return RelativePose(
+        a=a,
+        b=b,
+        T_a_b=T,
+        covariance=in_fleet(T_body_a, relative.covariance),
+        age_s=max(0.0, *ages),
+        through=tuple(through),
+    )

@@ -1,0 +1,301 @@
+"""The shell of the pose server: the only file of it that touches the network.
+
+Callbacks only store. One thread reads what was stored, runs the two flows of `pose_server.pipeline`, hands alignments to
+the workers, solves, and publishes.
+"""
+
+import logging
+import queue
+import resource
+import signal
+import threading
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+
+from pose_server import pipeline, publish
+from pose_server.correspondences.journal import Journal
+from pose_server.correspondences.records import JournalError
+from pose_server.inbox import Inbox, Refused, Selected, TokenSeen, Updated, Wake
+from pose_server.pairs.engine import Done, Engine
+from pose_server.publish import Stamp
+from pose_server.settings import ServerSettings
+from pose_server.site import Site
+from pose_server.views import open_view
+from protocol.codec import encoding_of, pack
+from protocol.errors import CodecError
+from protocol.keys import Keys, new_epoch, ordered_pair
+from protocol.messages import ServerStatus
+from protocol.transport import Answer, Link, Publisher, Sample
+
+log = logging.getLogger("pose_server")
+
+_TICK_S = 0.05
+_PRUNE_S = 2.0
+_STATUS_S = 1.0
+_SOLVE_SHARE = 0.4  # of the server's own thread that solving may take
+
+
+class Service:
+    """A running pose server."""
+
+    def __init__(
+        self, site: Site, journal: Journal, link: Link, settings: ServerSettings
+    ) -> None:
+        self.site, self.journal, self.link, self.settings = site, journal, link, settings
+        self.keys = Keys(settings.site)
+        self.epoch = new_epoch()
+        self.stopped = threading.Event()
+        self._queue: queue.SimpleQueue[object] = queue.SimpleQueue()
+        self._inbox = Inbox(self.keys, self._queue.put)
+        self._publishers: dict[str, Publisher] = {}
+        self._clouds = link.on_bulk(self.keys.cloud("*"), lambda: self._queue.put(Wake()))
+        self._engine = Engine(settings.workers, self._queue.put)
+        self._began_s = time.monotonic()
+        self._numbers: dict[str, int] = {}
+        self._next: dict[str, float] = {}
+        self._solved_s = self._solve_took_s = 0.0
+        self._saw_newest: dict[str, object] = {}
+        self._noted_anchor = site.anchor
+
+    def run(self) -> None:
+        """Serves until stopped."""
+        self._inbox.subscribe(self.link)
+        self.link.queryable(self.keys.relative, self._relative)
+        self.link.token(self.keys.server_alive(self.epoch))
+        self.site.say(f"server {self.epoch} started with {self.settings.workers} workers")
+        log.info(
+            "serving site=%s epoch=%s workers=%d",
+            self.settings.site,
+            self.epoch,
+            self.settings.workers,
+        )
+        self._publish_all_correspondences()
+        while not self.stopped.is_set():
+            self._read_events()
+            self._read_clouds()
+            self._start_jobs()
+            self._solve_if_due()
+            self._publish_moved()
+            self._publish_steadily()
+
+    def close(self) -> None:
+        """Ends the workers and the session."""
+        self._engine.close()
+        self.link.close()
+        self.journal.close()
+
+    def _read_events(self) -> None:
+        """Waits for the first event up to a tick, then takes all that are there."""
+        try:
+            event = self._queue.get(timeout=_TICK_S)
+            while True:
+                self._handle(event)
+                event = self._queue.get_nowait()
+        except queue.Empty:
+            return
+
+    def _handle(self, event: object) -> None:
+        match event:
+            case Done():
+                self._finished(event)
+            case Updated():
+                self._updated(event)
+            case Selected():
+                views = tuple(v for v in (event.selection.view_i, event.selection.view_j) if v)
+                self.site.selections[event.selection.operator] = views
+            case TokenSeen():
+                self._token(event)
+            case Refused():
+                self._refuse(event.sample, event.error)
+            case _:
+                pass
+
+    def _read_clouds(self) -> None:
+        """Newest views first come, first served; a few at a time, so that clicks never wait behind them."""
+        for _ in range(4):
+            sample = self._clouds.take(0)
+            if sample is None:
+                return
+            try:
+                view = open_view(sample.payload, sample.encoding, time.monotonic())
+                if self.keys.chunks(sample.key)[1] != view.name.robot:
+                    raise CodecError(f"view of '{view.name.robot}' under another robot's key")
+            except CodecError as error:
+                self._refuse(sample, error)
+                continue
+            pipeline.receive_view(self.site, view)
+
+    def _start_jobs(self) -> None:
+        while self._engine.idle > 0:
+            job = pipeline.next_job(self.site, time.monotonic())
+            if job is None:
+                return
+            self._engine.submit(job)
+
+    def _finished(self, done: Done) -> None:
+        if not self._engine.retire(done):
+            self.site.count("worker_died")
+            return
+        if done.result is None:
+            log.warning(
+                "alignment of %s and %s failed: %s", done.job.i.name, done.job.j.name, done.error
+            )
+        pipeline.take_result(self.site, done, time.monotonic())
+        i, j = done.job.i.name, done.job.j.name
+        if done.result is not None and i.robot != j.robot:
+            n = self._count_up(f"{i.robot} {j.robot}")
+            message = publish.alignment(i, j, done.result, self._stamp(), n)
+            self._put(self.keys.alignment(i.robot, j.robot), message)
+            log.info(
+                "aligned %s %s %s start=%s inliers=%d %s",
+                i,
+                j,
+                done.result.verdict,
+                done.result.start,
+                done.result.inliers,
+                "; ".join(done.result.reasons),
+            )
+
+    def _updated(self, event: Updated) -> None:
+        update = event.update
+        try:
+            outcomes = pipeline.receive_update(self.site, update)
+        except JournalError as error:  # nothing happened: the operator's client will repeat it
+            log.error("update %s/%d not recorded: %s", update.operator, update.n, error)
+            self.site.say(f"the journal cannot be written: {error}")
+            return
+        for outcome in outcomes:
+            log.info("update %s/%d %s", update.operator, outcome.n, outcome.reason or "accepted")
+        self._put(self.keys.receipts(update.operator), self.site.book.receipts(update, self.epoch))
+        for pair in {ordered_pair(update.i, update.j), *(outcome.pair for outcome in outcomes)}:
+            self._publish_correspondences(pair)
+        self._next["solve"] = 0.0
+
+    def _token(self, event: TokenSeen) -> None:
+        robot = self.site.robot(event.robot)
+        (robot.epochs.add if event.alive else robot.epochs.discard)(event.epoch)
+        self.site.say(f"{event.robot} {'is here' if event.alive else 'is gone'}")
+
+    def _solve_if_due(self) -> None:
+        now = time.monotonic()
+        pause = self._solve_took_s * (1 / _SOLVE_SHARE - 1)
+        if not self.site.dirty or now < self._solved_s + pause:
+            return
+        pipeline.solve(self.site)
+        if pipeline.note_components(self.site) or self.site.anchor != self._noted_anchor:
+            self._noted_anchor = self.site.anchor
+            self._note_gauge()
+        self._solve_took_s = time.monotonic() - now
+        self._solved_s = time.monotonic()
+        self._saw_newest.clear()
+        for pair in pipeline.judge_correspondences(self.site):
+            self._publish_correspondences(pair)
+
+    def _note_gauge(self) -> None:
+        """After a restart the fleet frame must not silently be another one."""
+        try:
+            self.journal.note(
+                anchor=self.site.anchor or "", gauge_revision=str(self.site.gauge_revision)
+            )
+        except JournalError as error:
+            log.error("the gauge was not recorded: %s", error)
+
+    def _publish_moved(self) -> None:
+        """Poses of robots whose newest view changed, or all after a solve."""
+        for name, robot in self.site.robots.items():
+            if robot.track.newest is None or self._saw_newest.get(name) is robot.track.newest:
+                continue
+            pose = publish.robot_pose(self.site, robot, self.settings, self._stamp())
+            if pose is None:
+                continue
+            self._saw_newest[name] = robot.track.newest
+            robot.published = pose
+            self._put(self.keys.pose(name), pose)
+
+    def _publish_steadily(self) -> None:
+        if self._due("state", 1.0 / self.settings.state_hz):
+            n = self._count_up("state")
+            self._put(
+                self.keys.state, publish.fleet_state(self.site, self.settings, self._stamp(), n)
+            )
+        if self._due("status", _STATUS_S):
+            self._put(self.keys.status, self._status())
+        if self._due("prune", _PRUNE_S):
+            dropped = self.site.views.prune(time.monotonic(), self.site.held())
+            for robot in self.site.robots.values():
+                robot.track.forget({view for view in dropped if view.robot == robot.name})
+
+    def _due(self, what: str, period_s: float) -> bool:
+        now = time.monotonic()
+        if now < self._next.get(what, 0.0):
+            return False
+        self._next[what] = now + period_s
+        return True
+
+    def _publish_all_correspondences(self) -> None:
+        for pair in self.site.book.pairs():
+            self._publish_correspondences(pair)
+
+    def _publish_correspondences(self, pair: tuple[str, str]) -> None:
+        self._put(self.keys.correspondences(*pair), self.site.book.message(*pair, self.epoch))
+
+    def _relative(self, parameters: dict[str, str]) -> Answer:
+        """Answers `server/relative?from=a;to=b`; runs in a thread of its own and only reads."""
+        a, b = parameters.get("from"), parameters.get("to")
+        if not a or not b:
+            return Answer(error="ask as server/relative?from=r1;to=r2")
+        found = publish.relative_pose(self.site, a, b, time.monotonic())
+        if isinstance(found, str):
+            return Answer(error=found)
+        return Answer(pack(found), encoding_of(type(found)))
+
+    def _status(self) -> ServerStatus:
+        uptime = time.monotonic() - self._began_s
+        counts = self.site.counts
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        views = counts.get("views", 0)
+        return ServerStatus(
+            server_epoch=self.epoch,
+            uptime_s=uptime,
+            views=views,
+            alignments=counts.get("alignments", 0),
+            solves=counts.get("solves", 0),
+            pending_jobs=self._engine.running,
+            workers=self._engine.workers,
+            pairs_per_s=counts.get("alignments", 0) / max(uptime, 1e-3),
+            other_cpu_ms_per_view=1e3 * (used.ru_utime + used.ru_stime) / max(views, 1),
+            max_pair_wait_s=counts.get("max_wait_ms", 0) / 1e3,
+            drops={
+                **self._inbox.drops,
+                "newer_view": self._clouds.replaced + counts.get("views_overtaken", 0),
+            },
+            version=version("fleetpose"),
+        )
+
+    def _refuse(self, sample: Sample, error: CodecError) -> None:
+        if self._inbox.refuse(sample, error):
+            log.warning("refused key=%s reason=%s", sample.key, error)
+
+    def _put(self, key: str, message: object) -> None:
+        if key not in self._publishers:
+            self._publishers[key] = self.link.latched(key)
+        self._publishers[key].put(pack(message), encoding_of(type(message)))  # type: ignore[arg-type]
+
+    def _count_up(self, what: str) -> int:
+        self._numbers[what] = self._numbers.get(what, 0) + 1
+        return self._numbers[what]
+
+    def _stamp(self) -> Stamp:
+        return Stamp(self.epoch, time.monotonic(), time.time_ns())
+
+
+def serve(build: Callable[[], Service]) -> None:
+    """Builds a service and runs it until SIGTERM or SIGINT; the session is closed whatever happens."""
+    service = build()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: service.stopped.set())
+    try:
+        service.run()
+    finally:
+        service.close()

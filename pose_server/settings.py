@@ -1,0 +1,37 @@
+"""Settings of the pose server; file and environment (`FLEETPOSE_SERVER_*`) overlay the defaults."""
+
+import os
+from pathlib import Path
+
+from pydantic import Field
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+
+class ServerSettings(BaseSettings):
+    """How a pose server runs. Every default works."""
+
+    model_config = SettingsConfigDict(env_prefix="FLEETPOSE_SERVER_", extra="forbid", frozen=True)
+
+    site: str = Field("demo", description="name of the site, a chunk of every key")
+    listen: tuple[str, ...] = Field((), description="be the router as well, on these endpoints")
+    connect: tuple[str, ...] = Field((), description="endpoints of the router")
+    config: Path | None = Field(None, description="zenoh configuration (JSON5) that replaces both")
+    state_dir: Path = Field(Path("fleetpose-state"), description="where the journal is kept")
+    workers: int = Field(
+        max(1, min(16, os.cpu_count() or 1)), ge=1, le=256, description="alignment processes"
+    )
+    anchor: str | None = Field(
+        None, description="robot whose first keyframe is the origin of the fleet"
+    )
+    skip_pairs: Path | None = Field(
+        None, description="file with lines 'r1 r2': pairs that only the operator may start"
+    )
+    state_hz: float = Field(2.0, gt=0, le=20, description="rate of the fleet's state")
+    fresh_s: float = Field(
+        5.0, gt=0, description="a pose older than this does not count as located"
+    )
+    located_sigma: float = Field(
+        0.05,
+        gt=0,
+        description="largest position sigma of a located robot, share of the median depth",
+    )

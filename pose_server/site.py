@@ -1,0 +1,223 @@
+"""What the server knows of its site: views, tracks, links between keyframes, the operator's work, the solution."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from pose_server.correspondences.book import Book
+from pose_server.fleet.types import Edge, EdgeKey, FleetSolution
+from pose_server.geometry.se3 import (
+    adjoint,
+    compose_covariance,
+    exp_so3,
+    inverse,
+    invert_covariance,
+    make_pose,
+    position_covariance,
+)
+from pose_server.pairs.align import PairResult
+from pose_server.pairs.schedule import RoundRobin
+from pose_server.pairs.tracking import Attached, Track
+from pose_server.views import ViewStore
+from protocol.keys import ordered_pair
+from protocol.messages import RobotPose, ViewName
+
+Floats = npt.NDArray[np.floating]
+RobotPair = tuple[str, str]
+ViewPair = tuple[ViewName, ViewName]
+
+
+@dataclass
+class Robot:
+    """One robot: its life signs and its track.
+
+    Attributes:
+        epochs: of the tokens that are there now.
+        newest: the newest view received.
+        waiting: the newest view that is not tracked yet.
+        tracking: the view that a worker follows at present.
+    """
+
+    name: str
+    epochs: set[str] = field(default_factory=set)
+    newest: ViewName | None = None
+    waiting: ViewName | None = None
+    tracking: ViewName | None = None
+    track: Track = field(default_factory=Track)
+    published: RobotPose | None = None
+    published_keyframe: tuple[ViewName, Floats] | None = None
+    poses_sent: int = 0
+    untracked: int = 0
+
+    @property
+    def alive(self) -> bool:
+        """Whether its token is there."""
+        return bool(self.epochs)
+
+
+@dataclass
+class PairRecord:
+    """What was done between two robots (or between segments of one).
+
+    Attributes:
+        untried: likeness of the keyframe pairs that were not aligned yet.
+        tried: keyframe pairs aligned, and by which kinds of starts.
+        clicks_due: the operator's set changed and was not aligned since.
+        last: the newest alignment, its views and when it ended.
+    """
+
+    untried: dict[ViewPair, float] = field(default_factory=dict)
+    tried: dict[ViewPair, set[str]] = field(default_factory=dict)
+    running: bool = False
+    clicks_due: bool = False
+    last: PairResult | None = None
+    last_views: ViewPair | None = None
+    last_s: float = -np.inf
+    best: PairResult | None = None
+    best_views: ViewPair | None = None
+    alignments: int = 0
+    since_s: float = 0.0
+
+
+@dataclass
+class Site:
+    """The state of one site. Only the server's own thread touches it."""
+
+    book: Book
+    skip: frozenset[RobotPair] = frozenset()
+    anchor: str | None = None
+    views: ViewStore = field(default_factory=ViewStore)
+    robots: dict[str, Robot] = field(default_factory=dict)
+    pairs: dict[RobotPair, PairRecord] = field(default_factory=dict)
+    edges: dict[EdgeKey, Edge] = field(default_factory=dict)
+    selections: dict[str, tuple[ViewName, ...]] = field(default_factory=dict)
+    solution: FleetSolution | None = None
+    gauge_revision: int = 0
+    turn: RoundRobin[RobotPair] = field(default_factory=RoundRobin[RobotPair])
+    dirty: bool = False
+    events: list[str] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=dict)
+    gauge: ViewName | None = None
+    similarities: dict[ViewPair, float] = field(default_factory=dict)
+    components: dict[str, str] = field(default_factory=dict)
+
+    def robot(self, name: str) -> Robot:
+        """The robot's record, made when first heard of."""
+        return self.robots.setdefault(name, Robot(name))
+
+    def pair(self, a: str, b: str) -> PairRecord:
+        """The pair's record, made when first needed."""
+        return self.pairs.setdefault(ordered_pair(a, b), PairRecord())
+
+    def count(self, what: str, by: int = 1) -> None:
+        """Counts something for the status."""
+        self.counts[what] = self.counts.get(what, 0) + by
+
+    def say(self, event: str) -> None:
+        """An event that operators see."""
+        self.events = [*self.events[-19:], event]
+
+    def keyframes(self) -> list[ViewName]:
+        """Of all robots."""
+        return [keyframe for robot in self.robots.values() for keyframe in robot.track.keyframes]
+
+    def attached(self, view: ViewName) -> Attached | None:
+        """Where a view hangs."""
+        robot = self.robots.get(view.robot)
+        return None if robot is None else robot.track.attached.get(view)
+
+    def held(self) -> set[ViewName]:
+        """Views that must be kept: keyframes, selected ones, those with correspondences, those in work."""
+        held = set(self.keyframes()) | self.book.views()
+        for views in self.selections.values():
+            held.update(views)
+        for robot in self.robots.values():
+            held.update(view for view in (robot.newest, robot.waiting, robot.tracking) if view)
+        return held
+
+    def camera_pose(self, view: ViewName) -> tuple[ViewName, Floats, Floats | None] | None:
+        """Root of its component, T_root_camera and covariance of a view that hangs somewhere."""
+        here = self.attached(view)
+        if here is None or self.solution is None or here.keyframe not in self.solution.nodes:
+            return None
+        node = self.solution.nodes[here.keyframe]
+        T = node.T_root_camera @ here.T_keyframe_view
+        if node.covariance is None:
+            return node.root, T, None
+        return (
+            node.root,
+            T,
+            compose_covariance(node.T_root_camera, node.covariance, here.covariance),
+        )
+
+    def relative(self, a: ViewName, b: ViewName) -> Floats | None:
+        """T_a_b of two views' cameras by the solution, or None where nothing joins them."""
+        at_a, at_b = self.camera_pose(a), self.camera_pose(b)
+        if at_a is None or at_b is None or at_a[0] != at_b[0]:
+            return None
+        return inverse(at_a[1]) @ at_b[1]
+
+    def component_name(self, root: ViewName) -> str:
+        """The anchor's name for its component, else the root's robot and view: poses compare only within one."""
+        return root.robot if root == self.gauge else f"{root.robot[:16]}-{root.seq}"
+
+    def joined(self, a: ViewName, b: ViewName) -> bool:
+        """Whether two views share a component."""
+        at_a, at_b = self.attached(a), self.attached(b)
+        if at_a is None or at_b is None or self.solution is None:
+            return False
+        return self.solution.joined(at_a.keyframe, at_b.keyframe)
+
+    def fleet_from_root(self, root: ViewName) -> Floats:
+        """T_fleet_root: the fleet frame is the body of the root's robot, turned upright where gravity is known."""
+        kept = self.views[root]
+        T_robot_camera = kept.camera.T_robot_camera
+        if kept.up_camera is None:
+            return T_robot_camera
+        return _upright(T_robot_camera[:3, :3] @ kept.up_camera) @ T_robot_camera
+
+    def link(self, edge: Edge) -> None:
+        """Adds or replaces a link between two keyframes."""
+        self.edges[edge.key] = edge
+        self.dirty = True
+
+    def unlink(self, key: EdgeKey) -> None:
+        """Removes a link."""
+        if self.edges.pop(key, None) is not None:
+            self.dirty = True
+
+
+def on_keyframes(result: PairResult, i: Attached, j: Attached) -> tuple[Floats, Floats]:
+    """An alignment of two views as one of the keyframes they hang on: T_keyframe_i_keyframe_j and its covariance."""
+    assert result.T_i_j is not None and result.covariance is not None
+    T, C = (
+        i.T_keyframe_view @ result.T_i_j,
+        compose_covariance(i.T_keyframe_view, i.covariance, result.covariance),
+    )
+    back = inverse(j.T_keyframe_view)
+    return T @ back, compose_covariance(T, C, invert_covariance(j.T_keyframe_view, j.covariance))
+
+
+def body_pose(T_fleet_root: Floats, T_root_camera: Floats, T_robot_camera: Floats) -> Floats:
+    """T_fleet_robot."""
+    return T_fleet_root @ T_root_camera @ inverse(T_robot_camera)
+
+
+def in_fleet(T_fleet_root: Floats, covariance: Floats) -> Floats:
+    """A covariance of left perturbations in the root's frame, in the fleet's."""
+    A = adjoint(T_fleet_root)
+    return A @ covariance @ A.T
+
+
+def position_sigma(T: Floats, covariance: Floats) -> float:
+    """Sigma of the weakest position direction, metres."""
+    return float(np.sqrt(max(np.linalg.eigvalsh(position_covariance(T, covariance))[-1], 0.0)))
+
+
+def _upright(up: Floats) -> Floats:
+    """The smallest turn that brings a direction of the body frame to its z axis."""
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    sine, cosine = float(np.linalg.norm(axis)), float(up[2])
+    angle = np.arctan2(sine, cosine)
+    return make_pose(exp_so3(axis / sine * angle) if sine > 1e-9 else np.eye(3), np.zeros(3))

@@ -1,0 +1,166 @@
+"""The views that the server keeps, encoded: 60 s of each robot, at least twenty, and all that something holds on to."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pose_server.geometry.errors import DegenerateGeometryError
+from pose_server.geometry.lift import LiftedPoint, lift_pixel
+from pose_server.pairs.engine import EncodedView
+from pose_server.pairs.views import point_noise
+from protocol.clouds import decode_salient, decode_scattered, depth_image, grid_to_pixel, points_of
+from protocol.codec import unpack
+from protocol.errors import CodecError, FleetPoseError
+from protocol.messages import Camera, DepthCloud, View, ViewName
+
+KEEP_S = 60.0
+KEEP_AT_LEAST = 20
+MIN_POINTS = 10
+_DEPTH_SAMPLE = 2000  # points for the median depth
+_SIGNATURE_POINTS = 300
+_SIGNATURE_RATIO = 0.85
+
+
+class NoDepthError(FleetPoseError):
+    """A click where no point can be had."""
+
+
+@dataclass(frozen=True)
+class KeptView:
+    """A view as it came, and what the server needs to know of it without decoding it again.
+
+    Attributes:
+        payload: the encoded `View`.
+        received_s: the server's monotonic clock.
+        signature: (S, D) float32 unit descriptors of the strongest salient points, to guess which views are alike.
+    """
+
+    name: ViewName
+    payload: bytes
+    stamp_ns: int
+    received_s: float
+    camera: Camera
+    median_depth_m: float
+    has_image: bool
+    up_camera: npt.NDArray[np.float64] | None
+    signature: npt.NDArray[np.float32]
+
+    @property
+    def encoded(self) -> EncodedView:
+        """For a worker."""
+        return EncodedView(self.name, self.payload)
+
+
+def open_view(payload: bytes, encoding: str | None, now_s: float) -> KeptView:
+    """Decodes a view in full, so that nothing damaged is ever kept.
+
+    Raises:
+        CodecError: it is no valid view, or has no points.
+    """
+    view = unpack(View, payload, encoding)
+    points = points_of(view, _DEPTH_SAMPLE)
+    if len(points.xyz) < MIN_POINTS:
+        raise CodecError(
+            f"view {view.name} has {len(points.xyz)} points with depth, need {MIN_POINTS}"
+        )
+    salient = decode_salient(view.salient)
+    strongest = salient.descriptors[np.isfinite(salient.inverse_depth)][:_SIGNATURE_POINTS].astype(
+        np.float32
+    )
+    norms = np.maximum(np.linalg.norm(strongest, axis=1, keepdims=True), 1e-6)
+    return KeptView(
+        name=view.name,
+        payload=payload,
+        stamp_ns=view.stamp_ns,
+        received_s=now_s,
+        camera=view.camera,
+        median_depth_m=float(np.median(points.xyz[:, 2])),
+        has_image=view.has_image,
+        up_camera=view.up_camera,
+        signature=strongest / norms,
+    )
+
+
+def likeness(a: KeptView, b: KeptView) -> float:
+    """A cheap guess, 0 to 1, of how much two views show the same: clear matches among the strongest points."""
+    if min(len(a.signature), len(b.signature)) < 3:
+        return 0.0
+    cosines = a.signature @ b.signature.T
+    best = cosines.argmax(axis=1)
+    rows = np.arange(len(best))
+    first = cosines[rows, best]
+    mutual = cosines.argmax(axis=0)[best] == rows
+    cosines[rows, best] = -1.0
+    second = cosines.max(axis=1)
+    clear = mutual & ((1 - first) < _SIGNATURE_RATIO**2 * (1 - second))
+    return float(min(1.0, clear.sum() / 40.0))
+
+
+def lift_click(kept: KeptView, pixel: npt.NDArray[np.float64]) -> LiftedPoint:
+    """The 3D point under a click.
+
+    Raises:
+        NoDepthError: the pixel is outside the image or has no depth near it; the text says so.
+    """
+    camera = kept.camera
+    if not (-0.5 <= pixel[0] <= camera.width - 0.5 and -0.5 <= pixel[1] <= camera.height - 0.5):
+        raise NoDepthError(
+            f"pixel ({pixel[0]:.0f}, {pixel[1]:.0f}) is outside the {camera.width}x{camera.height} image"
+        )
+    cloud = unpack(View, kept.payload).cloud
+    if isinstance(cloud, DepthCloud):
+        depth = depth_image(cloud, camera)
+        rows, columns = np.nonzero(np.isfinite(depth))
+        uv = grid_to_pixel(np.column_stack((columns, rows)), cloud.scale)
+        z, radius = depth[rows, columns].astype(np.float64), 2.0 * cloud.scale
+    else:
+        uv, z = decode_scattered(cloud)
+        radius = 6.0
+    try:
+        return lift_pixel(pixel, uv, z, camera.K, point_noise(camera.noise), radius)
+    except DegenerateGeometryError as error:
+        raise NoDepthError(str(error)) from error
+
+
+class ViewStore:
+    """Kept views by name."""
+
+    def __init__(self) -> None:
+        self._views: dict[ViewName, KeptView] = {}
+        self._by_robot: dict[str, list[ViewName]] = {}
+
+    def __contains__(self, name: ViewName) -> bool:
+        return name in self._views
+
+    def __getitem__(self, name: ViewName) -> KeptView:
+        return self._views[name]
+
+    def get(self, name: ViewName) -> KeptView | None:
+        """The view, or None if it is not kept."""
+        return self._views.get(name)
+
+    def count(self, robot: str) -> int:
+        """How many views of a robot are kept."""
+        return len(self._by_robot.get(robot, ()))
+
+    def keep(self, view: KeptView) -> None:
+        """Adds a view."""
+        if view.name not in self._views:
+            self._by_robot.setdefault(view.name.robot, []).append(view.name)
+        self._views[view.name] = view
+
+    def prune(self, now_s: float, held: Iterable[ViewName]) -> set[ViewName]:
+        """Drops what is old and not held; returns what was dropped."""
+        held = set(held)
+        dropped: set[ViewName] = set()
+        for robot, names in self._by_robot.items():
+            free = [name for name in names[:-KEEP_AT_LEAST] if name not in held]
+            old = {name for name in free if now_s - self._views[name].received_s > KEEP_S}
+            if old:
+                self._by_robot[robot] = [name for name in names if name not in old]
+                dropped |= old
+        for name in dropped:
+            del self._views[name]
+        return dropped

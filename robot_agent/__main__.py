@@ -1,0 +1,111 @@
+"""`robot-agent`: the command line of the robot's process."""
+
+import logging
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from protocol.errors import FleetPoseError
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
+LOG_FORMAT = "%(asctime)s %(levelname)s %(name)s %(message)s"
+
+
+@app.callback()
+def _agent() -> None:
+    """A robot's process: camera to 3D points to the fleet."""
+
+
+@app.command()
+def run(
+    name: Annotated[str | None, typer.Option(help="The robot's name, unique in its site.")] = None,
+    camera: Annotated[str | None, typer.Option(help="rgbd, views, stereo or synthetic.")] = None,
+    data: Annotated[str | None, typer.Option(help="Folder or endpoint of the camera.")] = None,
+    rate: Annotated[float | None, typer.Option(help="Frames per second. [default: 1]")] = None,
+    replay: Annotated[
+        str | None, typer.Option(help="once, loop, pingpong or hold. [default: once]")
+    ] = None,
+    clouds: Annotated[
+        str | None, typer.Option(help="Posed views: which clouds. [default: clouds]")
+    ] = None,
+    view: Annotated[str | None, typer.Option(help="Posed views: only this view.")] = None,
+    connect: Annotated[
+        list[str] | None, typer.Option(help="Router, repeatable. [default: tcp/127.0.0.1:7447]")
+    ] = None,
+    site: Annotated[str | None, typer.Option(help="The fleet's site. [default: demo]")] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="Zenoh configuration (JSON5) instead of --connect.")
+    ] = None,
+    settings: Annotated[
+        Path | None, typer.Option(help="Settings file (JSON), as --dump-config prints it.")
+    ] = None,
+    takeover: Annotated[
+        bool, typer.Option("--takeover", help="Start even if another agent has the name.")
+    ] = False,
+    end_with_parent: Annotated[
+        bool, typer.Option("--end-with-parent", help="End when the starting process does.")
+    ] = False,
+    dump_config: Annotated[
+        bool, typer.Option("--dump-config", help="Print the settings and end.")
+    ] = False,
+) -> None:
+    """Sends a camera's views to the fleet until it has no more, or until SIGTERM or Ctrl-C.
+
+    Every setting can also be given as FLEETPOSE_ROBOT_<NAME> in the environment, or in a file.
+    """
+    parent = os.getppid()  # before the slow imports, in which the parent may end
+    given: dict[str, Any] = {
+        "name": name,
+        "camera": camera,
+        "data": data,
+        "rate_hz": rate,
+        "replay": replay,
+        "clouds": clouds,
+        "view": view,
+        "connect": tuple(connect) if connect else None,
+        "site": site,
+        "config": config,
+        "takeover": takeover or None,
+    }
+    from robot_agent.settings import RobotSettings
+
+    loaded = RobotSettings.load(settings, given)
+    if dump_config:
+        typer.echo(loaded.model_dump_json(indent=2))
+        return
+
+    from robot_agent import agent
+
+    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format=LOG_FORMAT)
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    if end_with_parent:
+        agent.end_with_parent(parent, stop)
+    agent.run_agent(loaded, stop)
+
+
+def main() -> None:
+    """Runs the command line; an expected error is one sentence and exit code 2."""
+    try:
+        app()
+    except FleetPoseError as error:
+        sys.exit(_refuse(str(error)))
+    except ModuleNotFoundError as error:
+        if error.name not in ("cv2",):
+            raise
+        sys.exit(_refuse(f"{error.name} is missing: pip install 'fleetpose[robot]'"))
+
+
+def _refuse(sentence: str) -> int:
+    print(f"robot-agent: {sentence}", file=sys.stderr)
+    return 2
+
+
+if __name__ == "__main__":
+    main()

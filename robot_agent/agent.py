@@ -1,0 +1,90 @@
+"""The agent's loop: camera -> frames at a steady rate -> fleet."""
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Iterator
+
+import cv2
+
+from protocol.transport import SessionSettings
+from robot_agent.cameras.base import Frame
+from robot_agent.cameras.factory import open_camera
+from robot_agent.client import FleetRobot
+from robot_agent.sender import SenderSettings
+from robot_agent.settings import RobotSettings
+
+log = logging.getLogger(__name__)
+
+
+def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
+    """Runs until the camera has no more frames or the event is set.
+
+    The session is closed in any case.
+
+    Raises:
+        FleetPoseError: the camera, the router or the name cannot be had.
+    """
+    cv2.setNumThreads(settings.opencv_threads or -1)
+    camera = open_camera(
+        settings.camera, settings.data, settings.replay, settings.clouds, settings.view
+    )
+    try:
+        with FleetRobot(
+            settings.name,
+            SessionSettings(
+                connect=settings.connect,
+                config_file=settings.config,
+                timeout_s=settings.connect_timeout_s,
+            ),
+            site=settings.site,
+            settings=SenderSettings(
+                rate_hz=settings.rate_hz,
+                max_salient=settings.max_salient,
+                jpeg_quality=settings.jpeg_quality,
+                keep_views=settings.keep_views,
+            ),
+            takeover=settings.takeover,
+        ) as robot:
+            log.info("started name=%s epoch=%s camera=%s", robot.name, robot.epoch, settings.camera)
+            for frame in paced(camera.frames(), settings.rate_hz, stop):
+                robot.push_frame(frame)
+            if not stop.is_set():
+                robot.flush()
+            log.info(
+                "ended name=%s reason=%s",
+                robot.name,
+                "asked" if stop.is_set() else "no more frames",
+            )
+    finally:
+        camera.close()
+
+
+def paced(frames: Iterator[Frame], rate_hz: float, stop: threading.Event) -> Iterator[Frame]:
+    """Takes frames at a steady rate; time lost on a late one is not made up for."""
+    period_s = 1.0 / rate_hz
+    due_s = time.monotonic()
+    while not stop.wait(max(due_s - time.monotonic(), 0.0)):
+        frame = next(frames, None)
+        if frame is None:
+            return
+        yield frame
+        due_s = max(due_s + period_s, time.monotonic())
+
+
+def end_with_parent(parent: int, stop: threading.Event, poll_s: float = 0.3) -> None:
+    """Sets the event when the process that started this one is gone.
+
+    Watched, not asked of the kernel: its death signal comes with the parent's *thread*, and on
+    Linux only.
+    """
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            if stop.wait(poll_s):
+                return
+        log.info("parent is gone pid=%d", parent)
+        stop.set()
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()

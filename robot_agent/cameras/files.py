@@ -1,0 +1,66 @@
+"""Reading a recording's files, with errors that name the file."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from pydantic import ValidationError
+
+from protocol.errors import CalibrationError, DataFolderError
+from protocol.messages import NoiseModel
+
+
+def read_colour(path: Path) -> npt.NDArray[np.uint8]:
+    """A colour image (H, W, 3) uint8 BGR.
+
+    Raises:
+        DataFolderError: there is no such image.
+    """
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        raise DataFolderError(f"{path} is missing or no image")
+    return np.asarray(image, np.uint8)
+
+
+def read_depth(path: Path, steps_per_m: float, furthest_m: float) -> npt.NDArray[np.float32]:
+    """A 16-bit depth image (H, W) as metres, nan where it is 0 or beyond the furthest.
+
+    Raises:
+        DataFolderError: there is no such image.
+    """
+    raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if raw is None or raw.dtype != np.uint16 or raw.ndim != 2:
+        raise DataFolderError(f"{path} is missing or no 16-bit depth image")
+    depth = raw.astype(np.float32)
+    depth /= np.float32(steps_per_m)
+    depth[(raw == 0) | (raw == 65535) | (depth > furthest_m)] = np.nan
+    return depth
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file.
+
+    Raises:
+        DataFolderError: it is missing or no JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise DataFolderError(f"{path} cannot be read as JSON: {error}") from error
+
+
+def noise_of(content: Any, path: Path) -> NoiseModel:
+    """A noise model as a recording states it.
+
+    Raises:
+        CalibrationError: it is none; the sentence names the field.
+    """
+    try:
+        return NoiseModel.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise CalibrationError(f"{path}: noise.{place}: {first['msg']}") from error

@@ -1,0 +1,239 @@
+"""What a robot's own program uses: push frames, get poses.
+
+robot = FleetRobot("r7", SessionSettings(connect=("tcp/10.0.0.1:7447",)), camera=model)
+robot.push(image, depth_m, stamp_ns, T_odom_robot)
+pose = robot.pose()
+if pose is not None and not robot.is_stale(pose): ...
+robot.close()
+"""
+
+import logging
+import time
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from protocol.codec import encoding_of, pack, unpack
+from protocol.errors import CalibrationError
+from protocol.keys import Keys, checked_name, new_epoch
+from protocol.messages import Camera, Odometry, RelativePose, RobotPose, ViewName
+from protocol.transport import Link, SessionSettings, open_session
+from robot_agent.cameras.base import DepthImage, DisparityImage, Frame, Ranges, ScatteredPoints
+from robot_agent.poses import PoseBoard
+from robot_agent.presence import claim_name
+from robot_agent.sender import Sender, SenderSettings
+
+log = logging.getLogger(__name__)
+
+
+class FleetRobot:
+    """One robot of the fleet: its views go out, poses come back. Close it, or use it in a `with`.
+
+    Methods may be called from any thread; none of them waits for the network but `relative_pose`
+    and `flush`.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        session: SessionSettings,
+        site: str = "demo",
+        camera: Camera | None = None,
+        settings: SenderSettings | None = None,
+        takeover: bool = False,
+    ) -> None:
+        """Joins the fleet.
+
+        Args:
+            name: the robot's name, unique in its site.
+            session: how to reach the router.
+            site: the fleet's site.
+            camera: the model of the camera; may be left out where every frame brings its own.
+            settings: what is computed, sent and kept.
+            takeover: start even if another agent is alive under the name.
+
+        Raises:
+            NameRefusedError: the name or the site does not follow the rules.
+            UnreachableError: no router.
+            NameTakenError: another agent is alive under the name.
+        """
+        self.name = checked_name(name)
+        self.epoch = new_epoch()
+        self._keys = Keys(site)
+        self._camera = camera
+        self._seq = 0
+        self._poses = PoseBoard()
+        self._link = Link(open_session(session))
+        try:
+            claim_name(self._link, self._keys, name, self.epoch, takeover)
+            self._sender = Sender(self._link, self._keys, name, self.epoch, settings)
+            self._odometry = self._link.latched(self._keys.odometry(name))
+            self._link.on_latched(self._keys.poses, self._poses.store)
+        except BaseException:
+            self._link.close()
+            raise
+        if camera is not None:
+            self._sender.announce(camera)
+
+    def push(
+        self,
+        image: npt.NDArray[np.uint8],
+        ranges: Ranges | npt.NDArray[np.floating],
+        stamp_ns: int | None = None,
+        T_odom_robot: npt.NDArray[np.float64] | None = None,
+        odometry_covariance: npt.NDArray[np.float64] | None = None,
+        up_camera: npt.NDArray[np.float64] | None = None,
+        up_sigma_rad: float | None = None,
+    ) -> ViewName:
+        """Sends what the robot sees now; returns at once.
+
+        Args:
+            image: (H, W, 3) uint8 BGR, rectified, full resolution.
+            ranges: what was measured on its grid; an array (H, W) is depth in metres, nan or 0
+                where there is none.
+            stamp_ns: UTC of the robot's clock; now if not given.
+            T_odom_robot: the robot in its own odometry frame, (4, 4), metres.
+            odometry_covariance: (6, 6) of it, rotation then translation; 1 cm and 0.5 deg if not
+                given.
+            up_camera: unit vector against gravity in the camera frame.
+            up_sigma_rad: its sigma.
+
+        Returns:
+            The name that the view will have.
+
+        Raises:
+            CalibrationError: no camera was given, or the image is not of its size.
+        """
+        if self._camera is None:
+            raise CalibrationError("push needs the camera's model: give FleetRobot a camera")
+        frame = Frame(
+            stamp_ns=time.time_ns() if stamp_ns is None else stamp_ns,
+            image=image.copy(),  # the caller may reuse the buffer
+            ranges=_copied(ranges),
+            model=self._camera,
+            up_camera=up_camera,
+            up_sigma_rad=up_sigma_rad,
+        )
+        if T_odom_robot is not None:
+            self.push_odometry(T_odom_robot, frame.stamp_ns, odometry_covariance)
+        return self.push_frame(frame)
+
+    def push_frame(self, frame: Frame) -> ViewName:
+        """Sends a frame with a camera model of its own; returns at once.
+
+        The frame must not be changed afterwards.
+
+        Raises:
+            CalibrationError: image or ranges do not fit the camera model.
+        """
+        _check_sizes(frame)
+        name = ViewName(robot=self.name, epoch=self.epoch, seq=self._seq)
+        self._seq += 1
+        self._sender.send(name, frame)
+        return name
+
+    def push_odometry(
+        self,
+        T_odom_robot: npt.NDArray[np.float64],
+        stamp_ns: int,
+        covariance: npt.NDArray[np.float64] | None = None,
+    ) -> None:
+        """Sends where the robot is in its own odometry frame."""
+        if covariance is None:
+            covariance = np.diag([np.deg2rad(0.5) ** 2] * 3 + [0.01**2] * 3)
+        odometry = Odometry(
+            robot=self.name,
+            epoch=self.epoch,
+            stamp_ns=stamp_ns,
+            T_odom_robot=T_odom_robot,
+            covariance=covariance,
+        )
+        self._odometry.put(pack(odometry), encoding_of(Odometry))
+
+    def pose(self) -> RobotPose | None:
+        """The newest pose of this robot, None before the first. Ask `is_stale` before acting."""
+        return self.poses().get(self.name)
+
+    def is_stale(self, pose: RobotPose) -> bool:
+        """Whether this robot's pose is no longer to be acted on, by this robot's clock."""
+        return time.time_ns() > pose.valid_until_ns
+
+    def poses(self) -> dict[str, RobotPose]:
+        """The newest pose of every robot. Clocks differ between robots: for others see `age_s`."""
+        return {name: received.pose for name, received in self._poses.newest().items()}
+
+    def age_s(self, robot: str) -> float | None:
+        """How old a robot's newest pose is: its age when sent plus the time since it arrived."""
+        received = self._poses.newest().get(robot)
+        if received is None:
+            return None
+        return received.pose.age_s + time.monotonic() - received.at_s
+
+    def relative_pose(self, other: str, timeout_s: float = 3.0) -> RelativePose:
+        """Where another robot is, seen from this one, asked of the server now.
+
+        In the answer `T_a_b`, this robot is a.
+
+        Raises:
+            UnreachableError: there is no server, or no way to tell; the text says why.
+            CodecError: the answer is damaged.
+        """
+        selector = f"{self._keys.relative}?from={self.name};to={checked_name(other)}"
+        answer = self._link.query(selector, timeout_s)
+        return unpack(RelativePose, answer.payload, answer.encoding)
+
+    def flush(self, timeout_s: float = 10.0) -> bool:
+        """Waits until everything pushed is on its way; whether it was in time."""
+        return self._sender.flush(timeout_s)
+
+    def close(self) -> None:
+        """Leaves the fleet; a frame that still waits is dropped, so `flush` if that matters."""
+        try:
+            self._sender.close()
+        finally:
+            self._link.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _copied(ranges: Ranges | npt.NDArray[np.floating]) -> Ranges:
+    if isinstance(ranges, np.ndarray):
+        return DepthImage(np.array(ranges, np.float32))
+    if isinstance(ranges, DepthImage):
+        return DepthImage(ranges.depth_m.copy(), ranges.step_m)
+    if isinstance(ranges, DisparityImage):
+        return DisparityImage(
+            ranges.disparity_px.copy(), ranges.focal_baseline_px_m, ranges.step_px
+        )
+    return ScatteredPoints(ranges.uv.copy(), ranges.z.copy())
+
+
+def _check_sizes(frame: Frame) -> None:
+    width, height = frame.model.width, frame.model.height
+    if frame.image.shape[:2] != (height, width):
+        raise CalibrationError(
+            f"the image is {frame.image.shape[1]}x{frame.image.shape[0]}, "
+            f"the camera {width}x{height}"
+        )
+    if isinstance(frame.ranges, ScatteredPoints):
+        return
+    if isinstance(frame.ranges, DepthImage):
+        rows, columns = frame.ranges.depth_m.shape
+    else:
+        rows, columns = frame.ranges.disparity_px.shape
+    scale = width // columns if columns else 0
+    if (rows * scale, columns * scale) != (height, width):
+        raise CalibrationError(
+            f"ranges of {columns}x{rows} are no whole fraction of the camera's {width}x{height}"
+        )

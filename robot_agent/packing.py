@@ -1,0 +1,52 @@
+"""A frame and its salient points as the message that goes on the wire."""
+
+import numpy as np
+
+from protocol.clouds import (
+    SalientPoints,
+    encode_depth,
+    encode_disparity,
+    encode_salient,
+    encode_scattered,
+)
+from protocol.messages import Camera, DepthCloud, ScatteredCloud, View, ViewName
+from robot_agent.cameras.base import DepthImage, DisparityImage, Frame, Ranges, ScatteredPoints
+from robot_agent.salient import EXTRACTOR
+
+SCATTERED_STEP_SIGMAS = 0.1
+"""Steps of scattered depths, in median sigmas: rounding then adds 0.04 % to the noise."""
+FINEST_STEP_M = 1e-6
+
+
+def view_of(name: ViewName, frame: Frame, salient: SalientPoints) -> View:
+    """Encodes a frame."""
+    return View(
+        name=name,
+        stamp_ns=frame.stamp_ns,
+        camera=frame.model,
+        cloud=cloud_of(frame.ranges, frame.model),
+        salient=encode_salient(salient, EXTRACTOR),
+        up_camera=frame.up_camera,
+        up_sigma_rad=frame.up_sigma_rad,
+    )
+
+
+def cloud_of(ranges: Ranges, model: Camera) -> DepthCloud | ScatteredCloud:
+    """Encodes what was measured, in the form in which it was measured."""
+    if isinstance(ranges, DepthImage):
+        scale = model.width // ranges.depth_m.shape[1]
+        return encode_depth(ranges.depth_m, ranges.step_m, scale)
+    if isinstance(ranges, DisparityImage):
+        scale = model.width // ranges.disparity_px.shape[1]
+        return encode_disparity(
+            ranges.disparity_px, ranges.focal_baseline_px_m, ranges.step_px, scale
+        )
+    return encode_scattered(ranges.uv, ranges.z, _depth_step_m(ranges, model))
+
+
+def _depth_step_m(ranges: ScatteredPoints, model: Camera) -> float:
+    if not len(ranges.z):
+        return FINEST_STEP_M
+    c0, c1, c2 = model.noise.depth_sigma_m
+    z = float(np.median(ranges.z))
+    return max(SCATTERED_STEP_SIGMAS * (c0 + c1 * z + c2 * z * z), FINEST_STEP_M)

@@ -1,0 +1,175 @@
+"""The way out: frame -> salient points -> view -> wire, in one thread of its own.
+
+A frame waits in a slot for one; a newer one takes its place. So the robot's program never waits,
+neither for the computer nor for the network, and what is sent is the newest there is.
+"""
+
+import logging
+import threading
+import time
+from dataclasses import dataclass
+
+import cv2
+
+from protocol.codec import encoding_of, pack
+from protocol.errors import FleetPoseError
+from protocol.keys import Keys
+from protocol.messages import Camera, CameraAnnouncement, KeptView, View, ViewName
+from protocol.transport import ENCODING_JPEG, Answer, Link
+from robot_agent.cameras.base import Frame
+from robot_agent.kept import KeptViews
+from robot_agent.packing import view_of
+from robot_agent.salient import salient_points
+
+log = logging.getLogger(__name__)
+
+CAPABILITIES = ("cloud", "image", "view", "odometry")
+CLOSE_TIMEOUT_S = 1.0
+
+
+@dataclass(frozen=True)
+class SenderSettings:
+    """What is computed, sent and kept.
+
+    Attributes:
+        rate_hz: how often frames are meant to come; announced with the camera.
+        max_salient: salient points per view, at most.
+        jpeg_quality: 1 to 100.
+        keep_views: so many of the last views can be asked for.
+    """
+
+    rate_hz: float = 1.0
+    max_salient: int = 2000
+    jpeg_quality: int = 85
+    keep_views: int = 30
+
+
+class Sender:
+    """Publishes the frames of one robot and answers for its last views."""
+
+    def __init__(
+        self, link: Link, keys: Keys, name: str, epoch: str, settings: SenderSettings | None = None
+    ) -> None:
+        self._name = name
+        self._epoch = epoch
+        self._settings = settings or SenderSettings()
+        self._announcement = link.latched(keys.camera(name))
+        self._cloud = link.bulk(keys.cloud(name))
+        self._image = link.bulk(keys.image(name), background=True)
+        self._kept = KeptViews(epoch, self._settings.keep_views)
+        self._announced: Camera | None = None
+        self._changed = threading.Condition()
+        self._slot: tuple[ViewName, Frame] | None = None
+        self._busy = False
+        self._closed = False
+        self._failure: Exception | None = None
+        self.dropped = 0
+        link.queryable(keys.view(name), self._answer)
+        self._thread = threading.Thread(target=self._run, name=f"sender {name}", daemon=True)
+        self._thread.start()
+
+    def announce(self, camera: Camera) -> None:
+        """Publishes the camera model, latched."""
+        self._announced = camera
+        announcement = CameraAnnouncement(
+            robot=self._name,
+            epoch=self._epoch,
+            camera=camera,
+            rate_hz=self._settings.rate_hz,
+            capabilities=CAPABILITIES,
+        )
+        self._announcement.put(pack(announcement), encoding_of(CameraAnnouncement))
+
+    def send(self, name: ViewName, frame: Frame) -> None:
+        """Hands a frame over; one that still waits is dropped for it."""
+        with self._changed:
+            if self._failure is not None:
+                raise self._failure
+            if self._slot is not None:
+                self.dropped += 1
+                log.info("view dropped name=%s reason=newer", self._slot[0])
+            self._slot = (name, frame)
+            self._changed.notify_all()
+
+    def flush(self, timeout_s: float) -> bool:
+        """Waits until no frame waits and none is worked on."""
+        with self._changed:
+            idle = self._changed.wait_for(
+                lambda: self._failure or (self._slot is None and not self._busy), timeout_s
+            )
+            if self._failure is not None:
+                raise self._failure
+            return bool(idle)
+
+    def close(self) -> None:
+        """Ends the thread after the frame it works on; a frame that waits is dropped."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join(CLOSE_TIMEOUT_S)
+
+    def _run(self) -> None:
+        while (job := self._next()) is not None:
+            try:
+                self._publish(*job)
+            except FleetPoseError as error:
+                self.dropped += 1
+                log.warning("view dropped name=%s reason=%s", job[0], error)
+            except Exception as error:  # a bug: handed to whoever pushes next, who ends with it
+                with self._changed:
+                    self._failure = error
+                    self._changed.notify_all()
+                return
+
+    def _next(self) -> tuple[ViewName, Frame] | None:
+        with self._changed:
+            self._busy = False
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: self._closed or self._slot is not None)
+            if self._closed:
+                return None
+            job, self._slot = self._slot, None
+            self._busy = True
+            return job
+
+    def _publish(self, name: ViewName, frame: Frame) -> None:
+        start_s = time.monotonic()
+        if self._announced is None or pack(self._announced) != pack(frame.model):
+            self.announce(frame.model)
+        salient = salient_points(frame.image, frame.ranges, frame.model, self._settings.max_salient)
+        salient_s = time.monotonic()
+        view = view_of(name, frame, salient)
+        kept = self._kept.keep(view, self._jpeg(frame))
+        payload = pack(view)
+        encoded_s = time.monotonic()
+        self._cloud.put(payload, encoding_of(View))
+        image_bytes = self._publish_image(kept)
+        log.info(
+            "view name=%s salient=%d with_depth=%d bytes=%d image_bytes=%d "
+            "salient_ms=%.1f encode_ms=%.1f put_ms=%.1f",
+            name,
+            view.salient.count,
+            int((salient.inverse_depth > 0).sum()),
+            len(payload),
+            image_bytes,
+            1e3 * (salient_s - start_s),
+            1e3 * (encoded_s - salient_s),
+            1e3 * (time.monotonic() - encoded_s),
+        )
+
+    def _publish_image(self, kept: KeptView) -> int:
+        if not self._image.wanted or kept.jpeg is None or kept.image is None:
+            return 0
+        self._image.put(kept.jpeg, ENCODING_JPEG, attachment=pack(kept.image))
+        return len(kept.jpeg)
+
+    def _jpeg(self, frame: Frame) -> bytes:
+        quality = [cv2.IMWRITE_JPEG_QUALITY, self._settings.jpeg_quality]
+        _, jpeg = cv2.imencode(".jpg", frame.image, quality)
+        return jpeg.tobytes()
+
+    def _answer(self, parameters: dict[str, str]) -> Answer:
+        found = self._kept.find(parameters.get("seq"), parameters.get("epoch"))
+        if isinstance(found, str):
+            return Answer(error=found)
+        return Answer(pack(found), encoding_of(KeptView))

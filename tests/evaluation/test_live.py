@@ -1,0 +1,285 @@
+"""Observer and simulated operator over a real network, with a server played by the test."""
+
+import time
+
+import numpy as np
+import pytest
+
+from evaluation.observer import Observer, SeenView
+from evaluation.operator import SimulatedOperator
+from protocol import codec
+from protocol.clouds import SalientPoints, encode_depth, encode_salient
+from protocol.keys import Keys, new_epoch
+from protocol.messages import (
+    Alignment,
+    Camera,
+    FleetState,
+    NoiseModel,
+    OperatorUpdate,
+    Question,
+    Receipts,
+    RobotPose,
+    View,
+    ViewName,
+)
+from protocol.transport import Slots, wait_until
+from tests.evaluation.makers import HEIGHT, WIDTH, K
+
+KEYS = Keys("test")
+EPOCH = new_epoch()
+
+
+def view(robot: str, seq: int, depth_m: float = 2.0) -> View:
+    no_salient = SalientPoints(
+        np.zeros((0, 2), np.float32),
+        np.zeros(0, np.float32),
+        np.zeros(0, np.float32),
+        np.zeros((0, 128), np.uint8),
+    )
+    return View(
+        name=ViewName(robot=robot, epoch=EPOCH, seq=seq),
+        stamp_ns=time.time_ns(),
+        camera=Camera(
+            width=WIDTH,
+            height=HEIGHT,
+            K=K,
+            T_robot_camera=np.eye(4),
+            noise=NoiseModel(pixel_sigma_px=0.5, depth_sigma_m=(0.0, 0.0, 0.002)),
+            kind="rgbd",
+        ),
+        cloud=encode_depth(np.full((HEIGHT, WIDTH), depth_m)),
+        salient=encode_salient(no_salient),
+    )
+
+
+def pose(robot: str, seq: int, n: int, located: bool = True) -> RobotPose:
+    return RobotPose(
+        robot=robot,
+        view=ViewName(robot=robot, epoch=EPOCH, seq=seq),
+        stamp_ns=time.time_ns(),
+        T_fleet_robot=np.eye(4),
+        covariance=np.eye(6),
+        component="a",
+        located=located,
+        verdict="verified",
+        gauge_revision=0,
+        jumped=False,
+        age_s=0.0,
+        valid_until_ns=time.time_ns() + 5 * 10**9,
+        server_epoch=EPOCH,
+        n=n,
+    )
+
+
+def alignment(n: int) -> Alignment:
+    return Alignment(
+        view_i=ViewName(robot="a", epoch=EPOCH, seq=0),
+        view_j=ViewName(robot="b", epoch=EPOCH, seq=0),
+        T_i_j=np.eye(4),
+        covariance=np.eye(6),
+        information=np.eye(6),
+        verdict="verified",
+        reasons=(),
+        regression_error_m2=0.0,
+        regression_count=0,
+        rmse_m=0.0,
+        overlap=1.0,
+        inliers=5,
+        start="operator",
+        timings_ms={},
+        server_epoch=EPOCH,
+        n=n,
+    )
+
+
+def state(n: int, questions: tuple[Question, ...] = ()) -> FleetState:
+    return FleetState(
+        server_epoch=EPOCH,
+        n=n,
+        stamp_ns=time.time_ns(),
+        anchor="a",
+        gauge_revision=0,
+        up_assumed=True,
+        robots=(),
+        pairs=(),
+        questions=questions,
+        events=(),
+    )
+
+
+class Site:
+    """Server and robots as far as the tests need them."""
+
+    def __init__(self, link) -> None:
+        self.link = link
+        self._publishers = {}
+        self.updates = Slots()
+        self._subscription = link.subscribe_bulk(KEYS.updates("*"), self.updates)
+
+    def bulk(self, key, message):
+        if key not in self._publishers:
+            self._publishers[key] = self.link.bulk(key)
+            assert wait_until(lambda: self._publishers[key].wanted, 5)
+        self._publishers[key].put(codec.pack(message), codec.encoding_of(type(message)))
+
+    def put(self, key, message):
+        if key not in self._publishers:
+            self._publishers[key] = self.link.latched(key)
+        self._publishers[key].put(codec.pack(message), codec.encoding_of(type(message)))
+
+    def next_update(self) -> OperatorUpdate:
+        sample = self.updates.take(10)
+        assert sample is not None
+        return codec.unpack(OperatorUpdate, sample.payload, sample.encoding)
+
+
+@pytest.fixture
+def site(open_link):
+    return Site(open_link())
+
+
+@pytest.fixture
+def own_link(open_link):
+    return open_link()
+
+
+@pytest.fixture
+def observer(own_link):
+    observer = Observer(own_link, KEYS)
+    yield observer
+    observer.close()
+
+
+def test_views_are_known_by_name_and_by_what_their_cloud_holds(site, observer):
+    site.bulk(KEYS.cloud("a"), view("a", 0, 2.0))
+    site.bulk(KEYS.cloud("a"), view("a", 1, 3.0))
+    site.bulk(KEYS.cloud("b"), view("b", 0, 3.0))
+    assert wait_until(lambda: len(observer.view_sizes) == 3, 5)
+    newest = observer.newest_view("a")
+    assert newest is not None
+    assert newest.view.name.seq == 1
+    first = observer.view(ViewName(robot="a", epoch=EPOCH, seq=0))
+    other = observer.newest_view("b")
+    assert first is not None
+    assert other is not None
+    assert first.digest != newest.digest
+    assert newest.digest == other.digest
+
+
+def test_a_pose_answers_its_view_and_all_older_ones(site, observer):
+    for seq in range(3):
+        site.bulk(KEYS.cloud("a"), view("a", seq))
+    assert wait_until(lambda: len(observer.view_sizes) == 3, 5)
+    site.put(KEYS.pose("a"), pose("a", 1, n=1))
+    assert wait_until(lambda: len(observer.view_to_pose_s) == 2, 5)
+    site.put(KEYS.pose("a"), pose("a", 2, n=2))
+    assert wait_until(lambda: len(observer.view_to_pose_s) == 3, 5)
+    assert all(0.0 < s < 5.0 for s in observer.view_to_pose_s)
+
+
+def test_the_number_of_located_robots_is_noted_when_it_changes(site, observer):
+    site.put(KEYS.pose("a"), pose("a", 0, n=1))
+    site.put(KEYS.pose("b"), pose("b", 0, n=1, located=False))
+    assert wait_until(lambda: len(observer.poses()) == 2, 5)
+    assert wait_until(lambda: observer.located_counts[-1][1] == 1, 5)
+    site.put(KEYS.pose("b"), pose("b", 1, n=2))
+    assert wait_until(lambda: observer.located_counts[-1][1] == 2, 5)
+
+
+def test_presence_is_by_tokens(site, observer):
+    assert not observer.server_alive()
+    site.link.token(KEYS.robot_alive("a", EPOCH))
+    site.link.token(KEYS.robot_alive("b", EPOCH))
+    site.link.token(KEYS.server_alive(EPOCH))
+    assert wait_until(lambda: observer.alive_robots() == 2 and observer.server_alive(), 5)
+    site.link.close()
+    assert wait_until(lambda: observer.alive_robots() == 0 and not observer.server_alive(), 5)
+
+
+def test_bytes_that_are_no_message_are_counted_and_survived(site, observer):
+    publisher = site.link.latched(KEYS.pose("a"))
+    publisher.put(b"garbage", codec.encoding_of(RobotPose))
+    publisher.put(b"", "text/plain")
+    assert wait_until(lambda: observer.undecodable == 2, 5)
+    site.put(KEYS.pose("b"), pose("b", 0, n=1))
+    assert wait_until(lambda: "b" in observer.poses(), 5)
+
+
+class SameEverywhere:
+    """Every pixel of one view shows the same point as that pixel of the other."""
+
+    def correspondences(self, i: SeenView, j: SeenView):
+        pixels = np.random.default_rng(1).uniform(20, 100, (50, 2))
+        return pixels, pixels.copy()
+
+
+def question() -> Question:
+    names = {robot: ViewName(robot=robot, epoch=EPOCH, seq=0) for robot in "ab"}
+    return Question(
+        i="a", j="b", view_i=names["a"], view_j=names["b"], reason="join", gain=1.0
+    )
+
+
+@pytest.fixture
+def operator(own_link, observer, site):
+    site.bulk(KEYS.cloud("a"), view("a", 0))
+    site.bulk(KEYS.cloud("b"), view("b", 0))
+    operator = SimulatedOperator(
+        own_link, KEYS, observer, SameEverywhere(), clicks_per_minute=600, only_asked=True
+    )
+    operator.start()
+    yield operator
+    operator.close()
+
+
+def receipt(update: OperatorUpdate, n: int, **more) -> Receipts:
+    base = Receipts(
+        operator=update.operator, session=update.session, n=n, rejections=(), server_epoch=EPOCH
+    )
+    return base.model_copy(update=more)
+
+
+def test_nothing_is_clicked_that_was_not_asked(site, observer, operator):
+    site.put(KEYS.state, state(1))
+    assert wait_until(lambda: observer.state is not None, 5)
+    assert site.updates.take(0.5) is None
+    assert operator.clicks == 0
+
+
+def test_a_question_is_answered_and_the_click_timed_until_the_pose(site, observer, operator):
+    site.put(KEYS.state, state(1, (question(),)))
+    update = site.next_update()
+    assert (update.action, update.i, update.j, update.n) == ("add", "a", "b", 1)
+    assert update.view_i == question().view_i
+    assert update.pixel_i == pytest.approx(update.pixel_j, abs=12.0)
+    site.put(KEYS.receipts(update.operator), receipt(update, 1))
+    # an alignment and a pose from before the receipt must not count: wait until it was read
+    assert wait_until(lambda: any(s.receipted_s for s in operator.in_flight()), 5)
+    assert operator.click_to_pose_s == []
+    site.put(KEYS.alignment("a", "b"), alignment(1))
+    assert wait_until(lambda: len(observer.alignments) == 1, 5)
+    assert operator.click_to_pose_s == []
+    site.put(KEYS.pose("b"), pose("b", 0, n=1))
+    assert wait_until(lambda: len(operator.click_to_pose_s) == 1, 5)
+    assert 0.0 < operator.click_to_pose_s[0] < 10.0
+
+
+def test_an_update_is_repeated_until_its_receipt(site, operator):
+    site.put(KEYS.state, state(1, (question(),)))
+    seen = []
+    assert wait_until(lambda: seen.append(site.next_update().n) or seen.count(1) == 2, 10)
+    site.put(KEYS.receipts("op-simulated"), receipt(site.next_update(), 10**6))
+    assert wait_until(lambda: not any(s.receipted_s is None for s in operator.in_flight()[:1]), 5)
+
+
+def test_a_rejected_click_is_noted_with_its_reason_and_not_timed(site, operator):
+    from protocol.messages import Rejection
+
+    site.put(KEYS.state, state(1, (question(),)))
+    update = site.next_update()
+    rejection = Rejection(n=1, reason="no depth there")
+    site.put(KEYS.receipts(update.operator), receipt(update, 1, rejections=(rejection,)))
+    assert wait_until(lambda: operator.rejected == ["no depth there"], 5)
+    assert all(sent.update.n != 1 for sent in operator.in_flight())
+
+

@@ -1,0 +1,110 @@
+"""The client between a session and a fake server, over real zenoh."""
+
+from hmi_fakes import view, wait_for
+
+from hmi_client.session import OperatorSession
+
+
+def ready(client_of, serve, **options):
+    server = serve(**options)
+    session = OperatorSession("anna")
+    client = client_of(session)
+    wait_for(lambda: session.fleet is not None)
+    return server, session, client
+
+
+def test_state_and_poses_reach_the_session(client_of, serve):
+    _, session, _ = ready(client_of, serve)
+    wait_for(lambda: session.status is not None)
+    assert session.robots() == ["r1", "r2", "r3", "r4", "r5", "r6"]
+    assert set(session.poses()) == {"r1", "r2", "r3", "r4", "r5"}
+    assert session.silence_s < 2.5
+
+
+def test_a_click_is_sent_with_its_views_and_receipted(client_of, serve):
+    server, session, _ = ready(client_of, serve)
+    session.select("r1", "r2")
+    wait_for(lambda: session.picture("r1") and session.picture("r2"))
+    views = [session.picture(r).view for r in ("r1", "r2")]
+    session.pick(0, (12.0, 34.0))
+    ticket = session.pick(1, (56.0, 78.0))
+    wait_for(lambda: ticket.accepted)
+    assert [server.updates[0].view_i, server.updates[0].view_j] == views
+    assert tuple(server.updates[0].pixel_j) == (56.0, 78.0)
+    wait_for(lambda: session.find(ticket.pick) is not None)
+    assert [e.status for e in session.entries()] == ["accepted"]
+
+
+def test_updates_are_offered_again_until_a_receipt_covers_them(client_of, serve):
+    server, session, _ = ready(client_of, serve, mute=True)
+    for u in (1.0, 2.0):
+        session.add(view("r1"), (u, 2.0), view("r2"), (3.0, 4.0))
+    wait_for(lambda: [u.n for u in server.updates].count(2) >= 2)
+    assert [u.n for u in server.updates[:2]] == [1, 2]
+    server.mute = False
+    wait_for(lambda: session.confirmed == 2)
+    assert len(server.sets[("r1", "r2")].items) == 2
+    assert session.open_updates() == ()
+
+
+def test_updates_made_before_the_server_is_there_reach_it(client_of, serve):
+    session = OperatorSession("anna")
+    client_of(session)
+    session.add(view("r1"), (1.0, 2.0), view("r2"), (3.0, 4.0))
+    server = serve()
+    wait_for(lambda: session.confirmed == 1)
+    assert len(server.sets[("r1", "r2")].items) == 1
+
+
+def test_images_of_the_selected_pair_only_are_subscribed(client_of, serve):
+    server, session, _ = ready(client_of, serve)
+    assert not any(server.image_wanted(r) for r in session.robots())
+    session.select("r2", "r3")
+    wait_for(lambda: server.image_wanted("r2") and server.image_wanted("r3"))
+    assert not server.image_wanted("r1")
+    session.select("r1", "r2")
+    wait_for(lambda: server.image_wanted("r1") and not server.image_wanted("r3"))
+    assert server.image_wanted("r2")
+
+
+def test_a_robot_that_sends_no_live_image_is_asked_for_its_newest_view(client_of, serve):
+    _, session, _ = ready(client_of, serve, live=False)
+    session.select("r1", "r2")
+    wait_for(lambda: session.picture("r1") and session.picture("r2"))
+    assert session.picture("r1").view == view("r1")
+
+
+def test_the_server_hears_the_selection_and_the_frozen_views(client_of, serve):
+    server, session, _ = ready(client_of, serve)
+    session.select("r1", "r2")
+    wait_for(lambda: server.selections and server.selections[-1].j == "r2")
+    assert server.selections[-1].view_i is None
+    wait_for(lambda: session.picture("r1") and session.picture("r2"))
+    session.pick(0, (1.0, 2.0))
+    wait_for(lambda: server.selections[-1].view_i is not None)
+    assert server.selections[-1].view_j == session.picture("r2").view
+
+
+def test_rejections_come_back_with_their_reason(client_of, serve):
+    _, session, _ = ready(client_of, serve)
+    ticket = session.add(view("r1"), (630.0, 2.0), view("r2"), (3.0, 4.0))
+    wait_for(lambda: ticket.final)
+    assert ticket.reason == "the pixel has no depth"
+
+
+def test_correspondences_that_were_there_before_are_known(client_of, serve):
+    _, first, _ = ready(client_of, serve)
+    first.add(view("r1"), (1.0, 2.0), view("r2"), (3.0, 4.0))
+    wait_for(lambda: first.confirmed == 1)
+    second = OperatorSession("berta")
+    client_of(second)
+    wait_for(lambda: len(second.entries(("r1", "r2"))) == 1)
+
+
+def test_garbage_is_counted_and_harmless(client_of, serve):
+    server, session, client = ready(client_of, serve)
+    garbage = server.link.latched(server.keys.pose("r1"))
+    garbage.put(b"\xc1garbage", "application/msgpack;fleet.pose.v1")
+    wait_for(lambda: client.drops["CodecError"] == 1)
+    n = session.fleet.n
+    wait_for(lambda: session.fleet.n > n)

@@ -1,0 +1,173 @@
+"""The command line against a fake server over real zenoh."""
+
+import csv
+import json
+import subprocess
+import sys
+
+import pytest
+from hmi_fakes import wait_for
+
+from hmi_client.__main__ import main
+from protocol.transport import free_port
+
+
+@pytest.fixture
+def hmi(router, monkeypatch, capsys):
+    """Runs `hmi-client` in this process: `hmi("status", code=0)` returns its output."""
+
+    def run(*arguments: str, code: int = 0) -> str:
+        monkeypatch.setattr(sys, "argv", ["hmi-client", *arguments, "--connect", router])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        captured = capsys.readouterr()
+        output = captured.out + captured.err
+        assert (ended.value.code or 0) == code, output
+        return output
+
+    return run
+
+
+def test_add_waits_for_the_receipt_and_prints_ids(hmi, serve):
+    server = serve()
+    output = hmi("correspondences", "add", "r1", "r2", "10,20,30,40", "11,21,31,41")
+    assert "accepted r1 - r2, id 1" in output and "id 2" in output
+    assert [tuple(c.pixel_i) for c in server.sets[("r1", "r2")].items] == [(10, 20), (11, 21)]
+
+
+def test_robots_in_the_other_order_swap_pixels_and_views(hmi, serve):
+    server = serve()
+    hmi("correspondences", "add", "r2", "r1", "10,20,30,40", "--view-i", "3", "--view-j", "5")
+    [c] = server.sets[("r1", "r2")].items
+    assert tuple(c.pixel_i) == (30, 40) and tuple(c.pixel_j) == (10, 20)
+    assert (c.view_i.seq, c.view_j.seq) == (5, 3)
+
+
+def test_a_rejection_is_told_and_exits_with_1(hmi, serve):
+    serve()
+    output = hmi("correspondences", "add", "r1", "r2", "1,2,3,4", "630,2,3,4", code=1)
+    assert "rejected r1 - r2: the pixel has no depth" in output and "accepted" in output
+
+
+def test_without_a_receipt_it_says_that_nothing_is_known_and_exits_with_3(hmi, serve):
+    serve(mute=True)
+    output = hmi("correspondences", "add", "r1", "r2", "1,2,3,4", "--timeout", "0.5", code=3)
+    assert "not known" in output
+
+
+def test_erase_clear_and_list(hmi, serve):
+    server = serve()
+    hmi("correspondences", "add", "r1", "r2", "1,2,3,4", "5,6,7,8", "9,10,11,12")
+    listed = json.loads(hmi("correspondences", "list", "r2", "r1", "--json"))
+    assert [(r["id"], r["u_i"], r["status"]) for r in listed] == [
+        (1, 1.0, "accepted"),
+        (2, 5.0, "accepted"),
+        (3, 9.0, "accepted"),
+    ]
+    assert "erased 2" in hmi("correspondences", "erase", "r1", "r2", "2")
+    assert [c.id for c in server.sets[("r1", "r2")].items] == [1, 3]
+    assert "it has: 1, 3" in hmi("correspondences", "erase", "r1", "r2", "2", code=2)
+    assert "cleared r1 - r2" in hmi("correspondences", "clear", "r1", "r2")
+    assert server.sets[("r1", "r2")].items == ()
+    assert "no correspondences" in hmi("correspondences", "list")
+
+
+@pytest.mark.parametrize("ending", ["csv", "json"])
+def test_what_was_exported_can_be_imported(hmi, serve, tmp_path, ending):
+    server = serve()
+    file = tmp_path / f"clicks.{ending}"
+    hmi("correspondences", "add", "r1", "r2", "1.25,2,3,4", "5,6,7,8")
+    assert "2 correspondences of 1 pairs" in hmi("correspondences", "export", str(file))
+    before = server.sets[("r1", "r2")].items
+    assert "2 are there already" in hmi("correspondences", "import", str(file))
+    hmi("correspondences", "clear", "r1", "r2")
+    assert "accepted" in hmi("correspondences", "import", str(file))
+    after = server.sets[("r1", "r2")].items
+    assert [(c.view_i, tuple(c.pixel_i)) for c in after] == [
+        (c.view_i, tuple(c.pixel_i)) for c in before
+    ]
+
+
+def test_an_import_without_views_uses_the_newest_ones(hmi, serve, tmp_path):
+    server = serve()
+    file = tmp_path / "clicks.csv"
+    with file.open("w", newline="") as out:
+        csv.writer(out).writerows(
+            [["i", "j", "u_i", "v_i", "u_j", "v_j"], ["r2", "r1", 1, 2, 3, 4]]
+        )
+    hmi("correspondences", "import", str(file))
+    [c] = server.sets[("r1", "r2")].items
+    assert tuple(c.pixel_j) == (1, 2) and c.view_i.robot == "r1"
+
+
+def test_a_broken_import_names_the_record_and_sends_nothing(hmi, serve, tmp_path):
+    server = serve()
+    file = tmp_path / "clicks.csv"
+    file.write_text("i,j,u_i,v_i,u_j,v_j\nr1,r2,1,2,3,4\nr1,r2,1,2,3,x\n")
+    assert "record 2" in hmi("correspondences", "import", str(file), code=2)
+    assert server.updates == []
+
+
+def test_bad_input_exits_with_2_and_says_what_to_do(hmi, serve):
+    serve()
+    assert "write U1,V1,U2,V2" in hmi("correspondences", "add", "r1", "r2", "1,2,3", code=2)
+    assert "known robots: r1" in hmi("correspondences", "add", "r1", "r99", "1,2,3,4", code=2)
+    assert "no robot 'r99'" in hmi("why", "r99", code=2)
+
+
+def test_status_shows_robots_and_questions(hmi, serve):
+    serve()
+    output = hmi("status")
+    assert "4 of 6 robots located, anchor r1" in output
+    assert "alive, but no pair of it could be aligned" in output
+    assert "r5 - r6" in output and "it would join two parts of the fleet" in output
+
+
+def test_why_gives_the_reason(hmi, serve):
+    serve()
+    assert "r6 is not located: alive, but no pair" in hmi("why", "r6")
+    assert "r1 is located" in hmi("why", "r1")
+
+
+def test_watch_prints_json_lines_of_what_changes(hmi, serve):
+    serve()
+    records = [json.loads(line) for line in hmi("watch", "--seconds", "1", "--json").splitlines()]
+    poses = [r for r in records if r["type"] == "pose"]
+    assert [r["robot"] for r in poses] == ["r1", "r2", "r3", "r4", "r5"]  # unchanged: told once
+    assert poses[0]["located"] and not poses[4]["located"]
+    assert {"type": "event", "text": "fleet solved with 4 robots"} in records
+
+
+def test_without_a_server_the_exit_code_is_3_and_a_sentence_says_so(hmi):
+    assert "no pose server of site 'demo' answered" in hmi("status", code=3)
+
+
+def test_without_a_router_the_exit_code_is_3():
+    command = [sys.executable, "-P", "-m", "hmi_client", "status"]
+    nowhere = ["--connect", f"tcp/127.0.0.1:{free_port()}"]
+    done = subprocess.run(
+        command + nowhere, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 3 and "no zenoh router" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_without_a_terminal_the_bare_command_prints_help():
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "hmi_client"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        stdin=subprocess.DEVNULL,
+        check=True,
+    )
+    assert "correspondences" in done.stdout
+
+
+def test_a_screenshot_shows_the_fleet(hmi, serve, tmp_path):
+    server = serve()
+    out = tmp_path / "screen.svg"
+    hmi("screenshot", "--out", str(out), "--size", "120x36", "--pair", "r2,r1")
+    svg = out.read_text()
+    assert "r1&#160;&#160;view" in svg and "fleet&#160;from&#160;above" in svg and "▀" in svg
+    wait_for(lambda: not server.image_wanted("r1"))  # the client has left

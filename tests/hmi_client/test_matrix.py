@@ -1,0 +1,78 @@
+"""Texts of the error matrix."""
+
+import pytest
+from hmi_fakes import fleet
+
+from hmi_client.matrix import BOLD_SHARE, length_text, matrix_of, natural
+from protocol.messages import PairCell
+
+
+def matrix(*cells, threshold_m=1.0, count=4):
+    return matrix_of(fleet(count, pairs=cells), threshold_m)
+
+
+def tried(i, j, rmse_m, verdict="verified", **more):
+    return PairCell(i=i, j=j, state="tried", verdict=verdict, rmse_m=rmse_m, **more)
+
+
+def test_a_value_stands_in_both_halves():
+    m = matrix(tried("r1", "r2", 0.034))
+    assert m.at("r1", "r2") == m.at("r2", "r1")
+    assert (m.at("r1", "r2").text, m.unit) == ("3.4", "cm")
+
+
+def test_errors_of_a_metre_and_more_are_told_in_metres():
+    m = matrix(tried("r1", "r2", 1.5), tried("r1", "r3", 0.25), threshold_m=2.0)
+    assert (m.at("r1", "r2").text, m.at("r1", "r3").text, m.unit) == ("1.50", "0.25", "m")
+
+
+def test_above_the_threshold_stands_a_hyphen():
+    m = matrix(tried("r1", "r2", 0.3), tried("r1", "r3", 0.2), threshold_m=0.25)
+    assert (m.at("r1", "r2").text, m.at("r1", "r3").text) == ("-", "20.0")
+
+
+def test_a_hidden_error_does_not_change_the_unit():
+    assert matrix(tried("r1", "r2", 9.0), tried("r1", "r3", 0.2)).unit == "cm"
+
+
+def test_rejected_is_a_hyphen_however_small():
+    assert matrix(tried("r1", "r2", 0.01, "rejected")).at("r1", "r2").text == "-"
+
+
+def test_untried_through_others_and_absent_pairs_have_their_signs():
+    m = matrix(
+        PairCell(i="r1", j="r2", state="untried"), PairCell(i="r1", j="r3", state="through_others")
+    )
+    assert [m.at("r1", r).text for r in ("r2", "r3", "r4")] == ["·", "~", "·"]
+
+
+@pytest.mark.parametrize(("shown", "bold"), [(1, 1), (10, 1), (19, 1), (40, 2), (66, 3)])
+def test_the_largest_five_per_cent_are_bold_and_at_least_one(shown, bold):
+    names = [f"r{k + 1}" for k in range(12)]
+    pairs = [tuple(sorted((a, b))) for k, a in enumerate(names) for b in names[k + 1 :]]
+    cells = [tried(*pair, 0.01 + 0.001 * k) for k, pair in enumerate(pairs[:shown])]
+    m = matrix(*cells, count=12)
+    found = [pair for pair in pairs if m.at(*pair).bold]
+    assert found == pairs[shown - bold : shown]
+    assert bold == max(1, int(BOLD_SHARE * shown))
+
+
+def test_hidden_errors_are_never_bold():
+    m = matrix(tried("r1", "r2", 5.0), tried("r1", "r3", 0.1))
+    assert not m.at("r1", "r2").bold and m.at("r1", "r3").bold
+
+
+def test_clicked_pairs_are_marked_also_when_hidden():
+    assert matrix(tried("r1", "r2", 9.0, correspondences=2)).at("r1", "r2").clicked
+
+
+def test_an_empty_fleet_has_an_empty_matrix():
+    assert matrix_of(fleet(0), 1.0).robots == ()
+
+
+def test_robots_are_sorted_by_number():
+    assert sorted(["r10", "r2", "a", "r1"], key=natural) == ["a", "r1", "r2", "r10"]
+
+
+def test_lengths_carry_their_unit():
+    assert [length_text(x) for x in (0.0042, 0.032, 1.5)] == ["4.2 mm", "3.2 cm", "1.50 m"]

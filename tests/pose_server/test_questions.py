@@ -1,0 +1,90 @@
+"""Which questions come first, and what they say."""
+
+import numpy as np
+
+from pose_server.fleet.graph import solve_fleet
+from pose_server.fleet.questions import PairFacts, rank_questions
+from tests.pose_server.fleet_makers import SIGMAS, edge, ring, view
+
+NODES = [view(f"r{k}") for k in range(6)]
+TRUTH = ring(6)
+NEWEST = {node.robot: node for node in NODES}
+
+
+def facts(i, j, similarity=0.5, **more):
+    return PairFacts(f"r{i}", f"r{j}", NODES[i], NODES[j], similarity, **more)
+
+
+def asked(edges, pairs, **options):
+    solution = solve_fleet(NODES, edges, gauge=NODES[0], newest=NEWEST)
+    questions = rank_questions(solution, NEWEST, pairs, 2.0, anchor="r0", **options)
+    return [(question.i, question.j) for question in questions], questions
+
+
+def test_lone_bridge_is_asked_first_though_another_pair_looks_more_alike():
+    edges = [edge(NODES, TRUTH, 1, 2, None, verdict="plausible")]
+    order, questions = asked(edges, [facts(0, 1, 1.0), facts(1, 2, 0.1), facts(0, 3, 0.9)])
+    assert order[0] == ("r1", "r2")
+    assert "nothing confirms it" in questions[0].reason
+
+
+def test_joining_comes_before_sharpening_and_more_robots_before_fewer():
+    edges = [
+        edge(NODES, TRUTH, 0, 1, None, 10 * SIGMAS),
+        edge(NODES, TRUTH, 3, 4, None),
+        edge(NODES, TRUTH, 4, 5, None),
+    ]
+    order, questions = asked(edges, [facts(0, 1, 1.0), facts(1, 2), facts(2, 3), facts(0, 4)])
+    assert order == [("r0", "r4"), ("r1", "r2"), ("r2", "r3"), ("r0", "r1")]
+    assert "r3, r4, r5 to the fleet" in questions[0].reason
+    assert all(question.gain > 0 for question in questions)
+
+
+def test_likely_overlap_decides_between_pairs_of_equal_worth():
+    order, _ = asked([], [facts(0, 1, 0.2), facts(0, 2, 0.9), facts(0, 3, 0.5)])
+    assert order == [("r0", "r2"), ("r0", "r3"), ("r0", "r1")]
+
+
+def test_failed_tries_and_useless_correspondences_rank_a_pair_down():
+    order, questions = asked(
+        [], [facts(0, 1, 0.6, failed=2), facts(0, 2, 0.5), facts(0, 3, 0.6, correspondences=7)]
+    )
+    assert order == [("r0", "r2"), ("r0", "r1"), ("r0", "r3")]
+    assert "Tried 2 times without success" in questions[1].reason
+    assert "7 points have not sufficed" in questions[2].reason
+
+
+def test_pair_that_lacks_one_click_comes_before_one_that_lacks_three():
+    order, questions = asked([], [facts(0, 1), facts(0, 2, correspondences=2)])
+    assert order[0] == ("r0", "r2")
+    assert "2 of 3 points are there, 1 to go" in questions[0].reason
+
+
+def test_second_question_about_the_same_two_components_is_worth_less():
+    edges = [edge(NODES, TRUTH, 0, 1, None), edge(NODES, TRUTH, 3, 4, None)]
+    order, _ = asked(edges, [facts(0, 3, 0.9), facts(1, 4, 0.8), facts(0, 5, 0.9)])
+    assert order == [("r0", "r3"), ("r0", "r5"), ("r1", "r4")]
+
+
+def test_hopeless_bridge_loses_its_precedence():
+    edges = [edge(NODES, TRUTH, 0, 1, None, verdict="plausible")]
+    order, _ = asked(edges, [facts(0, 1, 0.5, failed=6), facts(0, 2, 0.5)])
+    assert order[0] == ("r0", "r2")
+
+
+def test_gain_is_the_stated_formula():
+    _, (question,) = asked([], [facts(0, 1, 0.5)])
+    assert np.isclose(question.gain, 0.5 * (2.0 * 0.98) / (6 * 3))
+
+
+def test_located_fleet_with_equal_sigmas_is_asked_nothing():
+    edges = [edge(NODES, TRUTH, k, k + 1, None, np.full(6, 1e-4)) for k in range(5)]
+    order, _ = asked(edges, [facts(k, k + 1, 1.0) for k in range(5)])
+    assert order == []
+
+
+def test_limit_and_unknown_robots_are_respected():
+    stranger = PairFacts("r0", "zz", NODES[0], view("zz"), 1.0)
+    order, _ = asked([], [stranger, facts(0, 1), facts(0, 2)], limit=1)
+    assert len(order) == 1 and "zz" not in order[0]
+    assert rank_questions(solve_fleet([], []), {}, [], 1.0) == []
