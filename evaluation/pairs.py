@@ -8,7 +8,7 @@ import itertools
 import multiprocessing
 import random
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from pathlib import Path
 from typing import Any
@@ -70,7 +70,10 @@ def run(
         ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), use_one_thread) as pool,
         progress_bar() as progress,
     ):
-        wires, robot_ms = _on_the_wire(recording, Path(folder), pool, progress)
+        views = {view.index: view for pair in pairs for view in pair}
+        wires, robot_ms = _on_the_wire(
+            recording, list(views.values()), Path(folder), pool, progress
+        )
         server_ms = list(pool.map(prepare_ms, wires.values()))
         limits = Limits.of(median_m, recording.is_rgbd)
         task = progress.add_task("pairs", total=len(pairs))
@@ -106,14 +109,18 @@ def limited(
 
 
 def _on_the_wire(
-    recording: Recording, folder: Path, pool: ProcessPoolExecutor, progress: Any
+    recording: Recording,
+    views: Sequence[TrueView],
+    folder: Path,
+    pool: ProcessPoolExecutor,
+    progress: Any,
 ) -> tuple[dict[int, Path], list[float]]:
     """What every view's robot sends, in one file each, and the milliseconds it took the robot."""
     rng = random.Random()
-    task = progress.add_task("views", total=len(recording.usable))
+    task = progress.add_task("views", total=len(views))
     jobs: list[tuple[int, Future[float]]] = []
     wires: dict[int, Path] = {}
-    for view in recording.usable:
+    for view in views:
         robot = random_name(rng)
         stripped = strip(recording, [view], folder / robot, rng)
         wires[view.index] = folder / f"{robot}.msgpack"

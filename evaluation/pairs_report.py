@@ -145,6 +145,7 @@ def _recall(rows: Sequence[PairRow]) -> dict[str, Any]:
     return {
         "pairs": len(rows),
         "ok": share(row.ok for row in rows),
+        "not_grave": share(row.T_i_j is not None and not row.grave for row in rows),
         "verified": share(row.verdict == "verified" for row in rows),
         "grave_verified": sum(row.grave and row.verdict == "verified" for row in rows),
         "position_error_median_m": float(np.median(errors)) if errors else None,
@@ -156,6 +157,7 @@ def _print(summary: dict[str, Any], rgbd: bool) -> None:
     columns = (
         "pairs",
         "ok",
+        "not_grave",
         "verified",
         "grave_verified",
         "position_error_median_m",

@@ -38,8 +38,8 @@ def reason(session: OperatorSession) -> str:
     asked = question is not None and (session.pair in (None, (question.i, question.j)))
     parts = []
     if question is not None and asked:
-        gain = f" (expected gain {length_text(question.gain)} per click)" if question.gain else ""
-        parts.append(f"Asked because {question.reason}{gain}")
+        gain = f" (a click gains about {length_text(question.gain)})" if question.gain else ""
+        parts.append(f"Asked: {question.reason}{gain}")
     if cell is not None:
         parts.append(describe_cell(session))
     return "  ·  ".join(parts)

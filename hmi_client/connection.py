@@ -20,16 +20,18 @@ SERVER_TIMEOUT_S = 5.0
 
 Connect = Annotated[
     list[str],
-    typer.Option(help="endpoint of the router; may be given again", envvar="FLEETPOSE_CONNECT"),
+    typer.Option(help="endpoint of the router, repeatable", envvar="FLEETPOSE_HMI_CONNECT"),
 ]
-Site = Annotated[str, typer.Option(help="name of the site", envvar="FLEETPOSE_SITE")]
+Site = Annotated[str, typer.Option(help="name of the site", envvar="FLEETPOSE_HMI_SITE")]
 Config = Annotated[
     Path | None,
-    typer.Option(help="zenoh configuration (JSON5), replaces --connect", envvar="FLEETPOSE_CONFIG"),
+    typer.Option(
+        help="zenoh configuration (JSON5), replaces --connect", envvar="FLEETPOSE_HMI_CONFIG"
+    ),
 ]
 Operator = Annotated[
     str,
-    typer.Option(help="who you are; default: the user's name", envvar="FLEETPOSE_OPERATOR"),
+    typer.Option(help="who you are; default: the user's name", envvar="FLEETPOSE_HMI_OPERATOR"),
 ]
 DEFAULT_CONNECT = ["tcp/127.0.0.1:7447"]
 DEFAULT_SITE = "demo"

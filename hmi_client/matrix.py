@@ -29,6 +29,8 @@ class Matrix:
     robots: tuple[str, ...]
     unit: Literal["cm", "m"]
     cells: dict[Pair, Cell]
+    width: int = 1
+    """Length of the longest text."""
 
     def at(self, a: str, b: str) -> Cell:
         if a == b:
@@ -64,7 +66,8 @@ def matrix_of(fleet: FleetState, threshold_m: float) -> Matrix:
         else:
             states = {"untried": UNTRIED, "through_others": THROUGH, "tried": HIDDEN}
             cells[pair] = Cell(states[cell.state], clicked=clicked)
-    return Matrix(robots, unit, cells)
+    width = max((len(cell.text) for cell in cells.values()), default=1)
+    return Matrix(robots, unit, cells, width)
 
 
 def length_text(metres: float) -> str:

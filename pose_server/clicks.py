@@ -1,7 +1,7 @@
 """The operator's correspondences as the solver and the aligner use them: between keyframes.
 
-A click belongs to the view it was made in. That view hangs on a keyframe, so that the click can be carried there and
-goes on helping when the robot has moved on.
+A click belongs to the view it was made in. That view hangs on a keyframe, so that the click can be
+carried there and goes on helping when the robot has moved on.
 """
 
 from collections import Counter

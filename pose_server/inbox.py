@@ -62,7 +62,9 @@ class Inbox:
         link.on_alive(self._keys.robot_alive("*", "*"), self._token)
 
     def refuse(self, sample: Sample, error: CodecError) -> bool:
-        """Counts a refusal; True the first time for this key and reason, when it is worth a log line."""
+        """Counts a refusal; True the first time for this key and reason, when it is worth a log
+        line.
+        """
         reason = str(error).split(":")[0][:60]
         self.drops[reason] = self.drops.get(reason, 0) + 1
         first = (sample.key, reason) not in self._said

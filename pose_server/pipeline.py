@@ -1,8 +1,10 @@
 """The two flows, free of I/O and clocks: what becomes of a view, and what becomes of a click.
 
-A view: `receive_view` -> `next_job` (follow it on its robot's keyframes, then the most promising pair) ~~ a worker
-aligns ~~ `take_result` -> `solve`. A click: `receive_update` (validated, lifted, journalled) -> `next_job` (first in
-line) ~~ a worker aligns ~~ `take_result` -> `solve`. The shell publishes what changed.
+A view: `receive_view` -> `next_job` (follow it on its robot's keyframes, then the most promising
+    pair) ~~ a worker
+aligns ~~ `take_result` -> `solve`. A click: `receive_update` (validated, lifted, journalled) ->
+`next_job` (first in line) ~~ a worker aligns ~~ `take_result` -> `solve`. The shell publishes what
+changed.
 """
 
 from collections.abc import Sequence
@@ -36,7 +38,9 @@ def receive_view(site: Site, view: KeptView) -> None:
 
 
 def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
-    """Applies an operator's update, and all that waited for it; what is returned is final and in the journal."""
+    """Applies an operator's update, and all that waited for it; what is returned is final and in
+    the journal.
+    """
     outcomes = site.book.apply(
         update,
         keeps=site.views.__contains__,
@@ -51,7 +55,9 @@ def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
 
 
 def next_job(site: Site, now_s: float) -> Job | None:
-    """What to align next: the operator's pairs, then the robots' own motion, then the pair whose turn it is."""
+    """What to align next: the operator's pairs, then the robots' own motion, then the pair whose
+    turn it is.
+    """
     return _click_job(site) or _track_job(site) or _pair_job(site, now_s)
 
 
@@ -95,7 +101,9 @@ def judge_correspondences(site: Site) -> list[RobotPair]:
 
 
 def note_components(site: Site) -> bool:
-    """Raises the gauge revision when a robot's component changed: poses before and after do not compare."""
+    """Raises the gauge revision when a robot's component changed: poses before and after do not
+    compare.
+    """
     now: dict[str, str] = {}
     for name, robot in site.robots.items():
         placed = None if robot.track.newest is None else site.camera_pose(robot.track.newest.view)
@@ -113,7 +121,9 @@ def note_components(site: Site) -> bool:
 
 
 def restore(site: Site, clicked_views: Sequence[KeptView]) -> None:
-    """After a restart: the views of the journal's correspondences are keyframes again, and all pairs are due."""
+    """After a restart: the views of the journal's correspondences are keyframes again, and all
+    pairs are due.
+    """
     for view in clicked_views:
         robot = site.robot(view.name.robot)
         site.views.keep(view)
@@ -132,7 +142,9 @@ def _settings(site: Site, nodes: Sequence[ViewName]) -> SolveSettings:
 
 
 def _gauge(site: Site, nodes: Sequence[ViewName]) -> ViewName | None:
-    """The anchor's first keyframe. The anchor is the first robot by name that joined others, and stays it."""
+    """The anchor's first keyframe. The anchor is the first robot by name that joined others, and
+    stays it.
+    """
     if site.anchor is None:
         joined = {edge.a.robot for edge in site.edges.values() if edge.a.robot != edge.b.robot}
         joined |= {edge.b.robot for edge in site.edges.values() if edge.a.robot != edge.b.robot}
@@ -229,7 +241,9 @@ def _nearer_keyframe(
 
 
 def _new_keyframe(site: Site, robot: Robot, view: ViewName) -> None:
-    """Makes a view a keyframe, links it to the one it was aligned with, and offers it to the other robots."""
+    """Makes a view a keyframe, links it to the one it was aligned with, and offers it to the other
+    robots.
+    """
     link = robot.track.link_of(view)
     robot.track.begin(view)
     if link is not None:

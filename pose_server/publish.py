@@ -137,7 +137,9 @@ def _why_not(
 def _jumped(
     site: Site, robot: Robot, keyframe: ViewName, T_fleet_root: Floats, component: str
 ) -> bool:
-    """Whether the same keyframe stands elsewhere than when it was published last, or in another component."""
+    """Whether the same keyframe stands elsewhere than when it was published last, or in another
+    component.
+    """
     assert site.solution is not None
     node = site.solution.nodes[keyframe]
     T = T_fleet_root @ node.T_root_camera

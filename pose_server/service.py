@@ -1,7 +1,7 @@
 """The shell of the pose server: the only file of it that touches the network.
 
-Callbacks only store. One thread reads what was stored, runs the two flows of `pose_server.pipeline`, hands alignments to
-the workers, solves, and publishes.
+Callbacks only store. One thread reads what was stored, runs the two flows of
+`pose_server.pipeline`, hands alignments to the workers, solves, and publishes.
 """
 
 import logging
@@ -39,9 +39,7 @@ _SOLVE_SHARE = 0.4  # of the server's own thread that solving may take
 class Service:
     """A running pose server."""
 
-    def __init__(
-        self, site: Site, journal: Journal, link: Link, settings: ServerSettings
-    ) -> None:
+    def __init__(self, site: Site, journal: Journal, link: Link, settings: ServerSettings) -> None:
         self.site, self.journal, self.link, self.settings = site, journal, link, settings
         self.keys = Keys(settings.site)
         self.epoch = new_epoch()
@@ -112,7 +110,9 @@ class Service:
                 pass
 
     def _read_clouds(self) -> None:
-        """Newest views first come, first served; a few at a time, so that clicks never wait behind them."""
+        """Newest views first come, first served; a few at a time, so that clicks never wait behind
+        them.
+        """
         for _ in range(4):
             sample = self._clouds.take(0)
             if sample is None:

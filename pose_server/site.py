@@ -1,4 +1,6 @@
-"""What the server knows of its site: views, tracks, links between keyframes, the operator's work, the solution."""
+"""What the server knows of its site: views, tracks, links between keyframes, the operator's work,
+the solution.
+"""
 
 from dataclasses import dataclass, field
 
@@ -128,7 +130,9 @@ class Site:
         return None if robot is None else robot.track.attached.get(view)
 
     def held(self) -> set[ViewName]:
-        """Views that must be kept: keyframes, selected ones, those with correspondences, those in work."""
+        """Views that must be kept: keyframes, selected ones, those with correspondences, those in
+        work.
+        """
         held = set(self.keyframes()) | self.book.views()
         for views in self.selections.values():
             held.update(views)
@@ -159,7 +163,9 @@ class Site:
         return inverse(at_a[1]) @ at_b[1]
 
     def component_name(self, root: ViewName) -> str:
-        """The anchor's name for its component, else the root's robot and view: poses compare only within one."""
+        """The anchor's name for its component, else the root's robot and view: poses compare only
+        within one.
+        """
         return root.robot if root == self.gauge else f"{root.robot[:16]}-{root.seq}"
 
     def joined(self, a: ViewName, b: ViewName) -> bool:
@@ -170,7 +176,9 @@ class Site:
         return self.solution.joined(at_a.keyframe, at_b.keyframe)
 
     def fleet_from_root(self, root: ViewName) -> Floats:
-        """T_fleet_root: the fleet frame is the body of the root's robot, turned upright where gravity is known."""
+        """T_fleet_root: the fleet frame is the body of the root's robot, turned upright where
+        gravity is known.
+        """
         kept = self.views[root]
         T_robot_camera = kept.camera.T_robot_camera
         if kept.up_camera is None:
@@ -189,7 +197,9 @@ class Site:
 
 
 def on_keyframes(result: PairResult, i: Attached, j: Attached) -> tuple[Floats, Floats]:
-    """An alignment of two views as one of the keyframes they hang on: T_keyframe_i_keyframe_j and its covariance."""
+    """An alignment of two views as one of the keyframes they hang on: T_keyframe_i_keyframe_j and
+    its covariance.
+    """
     assert result.T_i_j is not None and result.covariance is not None
     T, C = (
         i.T_keyframe_view @ result.T_i_j,

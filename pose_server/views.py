@@ -1,4 +1,6 @@
-"""The views that the server keeps, encoded: 60 s of each robot, at least twenty, and all that something holds on to."""
+"""The views that the server keeps, encoded: 60 s of each robot, at least twenty, and all that
+something holds on to.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -34,7 +36,8 @@ class KeptView:
     Attributes:
         payload: the encoded `View`.
         received_s: the server's monotonic clock.
-        signature: (S, D) float32 unit descriptors of the strongest salient points, to guess which views are alike.
+        signature: (S, D) float32 unit descriptors of the strongest salient points, to guess which
+            views are alike.
     """
 
     name: ViewName
@@ -84,7 +87,9 @@ def open_view(payload: bytes, encoding: str | None, now_s: float) -> KeptView:
 
 
 def likeness(a: KeptView, b: KeptView) -> float:
-    """A cheap guess, 0 to 1, of how much two views show the same: clear matches among the strongest points."""
+    """A cheap guess, 0 to 1, of how much two views show the same: clear matches among the strongest
+    points.
+    """
     if min(len(a.signature), len(b.signature)) < 3:
         return 0.0
     cosines = a.signature @ b.signature.T

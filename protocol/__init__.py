@@ -1,1 +1,3 @@
-"""What is on the wire: keys, messages, codecs and the opening of sessions. Everything else stands on this."""
+"""What is on the wire: keys, messages, codecs and the opening of sessions. Everything else stands
+on this.
+"""

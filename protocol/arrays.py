@@ -1,4 +1,6 @@
-"""Types for numpy arrays in messages: dtype, shape and finiteness are checked when a message is made or read."""
+"""Types for numpy arrays in messages: dtype, shape and finiteness are checked when a message is
+made or read.
+"""
 
 from typing import Annotated, Any
 

@@ -6,7 +6,9 @@ from pydantic import BaseModel, ConfigDict
 
 
 class Message(BaseModel):
-    """A frozen message; unknown fields are refused. `schema_name` names it and its version on the wire."""
+    """A frozen message; unknown fields are refused. `schema_name` names it and its version on the
+    wire.
+    """
 
     schema_name: ClassVar[str]
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)

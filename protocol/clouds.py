@@ -163,7 +163,8 @@ def decode_salient(salient: Salient) -> SalientPoints:
 
 
 def points_of(view: View, at_most: int | None = None) -> Points:
-    """The points of a view in its camera frame, or so many of them, drawn evenly but the same every time.
+    """The points of a view in its camera frame, or so many of them, drawn evenly but the same every
+    time.
 
     Raises:
         CodecError: the cloud is damaged or does not fit the camera.

@@ -2,7 +2,9 @@
 
 
 class FleetPoseError(Exception):
-    """Root of all errors of the project that are caught, counted and reported at the shell of a process."""
+    """Root of all errors of the project that are caught, counted and reported at the shell of a
+    process.
+    """
 
 
 class CodecError(FleetPoseError):

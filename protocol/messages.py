@@ -1,8 +1,9 @@
 """Everything that is said on the wire, one class each.
 
-Metres, radians, UTC nanoseconds of the sender's clock; camera frames have OpenCV axes (x right, y down, z forward);
-pixel (0, 0) is the centre of the top-left pixel of the rectified full-resolution image. `T_a_b` maps points of frame b
-to frame a. Covariances are ordered rotation then translation and belong to left perturbations, `exp(xi) T_a_b`.
+Metres, radians, UTC nanoseconds of the sender's clock; camera frames have OpenCV axes (x right, y
+down, z forward); pixel (0, 0) is the centre of the top-left pixel of the rectified full-resolution
+image. `T_a_b` maps points of frame b to frame a. Covariances are ordered rotation then translation
+and belong to left perturbations, `exp(xi) T_a_b`.
 """
 
 from typing import Annotated, ClassVar, Literal
@@ -37,7 +38,9 @@ class ViewName(Message, frozen=True):
 
 
 class NoiseModel(Message):
-    """How well a camera measures points: every point's covariance is long along its ray and thin across."""
+    """How well a camera measures points: every point's covariance is long along its ray and thin
+    across.
+    """
 
     schema_name: ClassVar[str] = "fleet.noise_model.v1"
     pixel_sigma_px: Positive = Field(description="sigma of a salient point in the image")
@@ -92,7 +95,9 @@ class CameraAnnouncement(Message):
 
 
 class DepthCloud(Message):
-    """An organised cloud: a depth or disparity image, lossless to `step`. Coded in `protocol.clouds`."""
+    """An organised cloud: a depth or disparity image, lossless to `step`. Coded in
+    `protocol.clouds`.
+    """
 
     schema_name: ClassVar[str] = "fleet.depth_cloud.v1"
     form: Literal["depth"] = "depth"
@@ -427,4 +432,5 @@ MESSAGES: tuple[type[Message], ...] = tuple(
 ROBOT_FROM_CAMERA = np.array(
     [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
-"""`T_robot_camera` of a camera that looks along the robot's x axis (body: x forward, y left, z up)."""
+"""`T_robot_camera` of a camera that looks along the robot's x axis (body: x forward, y left, z up).
+"""

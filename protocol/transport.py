@@ -1,7 +1,9 @@
-"""The only file of the protocol that touches zenoh: opening sessions, and publishers and subscribers per kind of stream.
+"""The only file of the protocol that touches zenoh: opening sessions, and publishers and
+subscribers per kind of stream.
 
-Three facts shape it. A slow subscriber grows a queue unless it keeps the newest sample per key only. Nothing heavy may
-happen in a callback. Puts can be lost silently, so latched and repeated streams carry their own numbers.
+Three facts shape it. A slow subscriber grows a queue unless it keeps the newest sample per key
+only. Nothing heavy may happen in a callback. Puts can be lost silently, so latched and repeated
+streams carry their own numbers.
 """
 
 import json
@@ -142,7 +144,9 @@ class Link:
     _declared: list[Any] = field(default_factory=list)
 
     def bulk(self, key: str, background: bool = False) -> Publisher:
-        """For clouds and images: reliable, waits for the link, never in the way of poses. Use from one own thread."""
+        """For clouds and images: reliable, waits for the link, never in the way of poses. Use from
+        one own thread.
+        """
         return Publisher(
             self.session.declare_publisher(
                 key,
@@ -153,7 +157,8 @@ class Link:
         )
 
     def latched(self, key: str, block: bool = False, history: int = 1) -> Publisher:
-        """For poses, state and updates: a late subscriber gets the last ones, a lost one is sent again.
+        """For poses, state and updates: a late subscriber gets the last ones, a lost one is sent
+        again.
 
         With `block` false a reader that is too slow loses samples instead of holding up the others.
         """
@@ -175,7 +180,9 @@ class Link:
         )
 
     def on_bulk(self, key_expr: str, wake: Callable[[], None] | None = None) -> Slots:
-        """Subscribes to clouds or images, keeping the newest per key; `wake` is called after each, and must be quick."""
+        """Subscribes to clouds or images, keeping the newest per key; `wake` is called after each,
+        and must be quick.
+        """
         slots = Slots(wake)
         self._declared.append(
             self.session.declare_subscriber(key_expr, lambda sample: slots.store(_detached(sample)))
@@ -204,7 +211,9 @@ class Link:
         self._declared.append(self.session.liveliness().declare_token(key))
 
     def on_alive(self, key_expr: str, callback: Callable[[str, bool], None]) -> None:
-        """Calls back with (key, alive) for tokens that are there, come and go; the callback must only store."""
+        """Calls back with (key, alive) for tokens that are there, come and go; the callback must
+        only store.
+        """
         self._declared.append(
             self.session.liveliness().declare_subscriber(
                 key_expr,

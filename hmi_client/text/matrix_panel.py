@@ -23,8 +23,13 @@ CLICKED = "•"
 MAX_NAME = 9
 
 
-class MatrixPanel(PanelMixin, ScrollView, can_focus=True):
-    """Errors of all pairs; the largest bold, those above the threshold a hyphen."""
+class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textual's own bases differ
+    ScrollView, PanelMixin, can_focus=True
+):
+    """Errors of all pairs; the largest bold, those above the threshold a hyphen.
+
+    ScrollView comes first among the bases: a widget inherits the style sheet of the first only.
+    """
 
     TOPICS = ("fleet", "selection", "settings")
     SLOW = ("fleet",)
@@ -52,6 +57,7 @@ class MatrixPanel(PanelMixin, ScrollView, can_focus=True):
         self.session = session
         self.cursor = (0, 1)
         self._matrix = Matrix((), "cm", {})
+        self._shows: tuple[str, int, float] | None = None
         self._selected: tuple[str, str] | None = None
 
     # ---- geometry --------------------------------------------------------------------------------
@@ -65,8 +71,7 @@ class MatrixPanel(PanelMixin, ScrollView, can_focus=True):
     @property
     def pitch(self) -> int:
         """Columns per cell: the value, and one for the mark of correspondences."""
-        widest = max((len(cell.text) for cell in self._matrix.cells.values()), default=0)
-        return max(widest, min(self.head - 1, 6), 3) + 2
+        return max(self._matrix.width, min(self.head - 1, 6), 3) + 2
 
     def cell_at(self, x: int, y: int) -> tuple[int, int] | None:
         """Row and column of the cell under a place of the content area."""
@@ -80,8 +85,10 @@ class MatrixPanel(PanelMixin, ScrollView, can_focus=True):
 
     def paint(self) -> list[Strip]:
         session = self.session
-        if session.fleet is not None:
-            self._matrix = matrix_of(session.fleet, session.threshold_m)
+        fleet, threshold_m = session.fleet, session.threshold_m
+        if fleet is not None and self._shows != (fleet.server_epoch, fleet.n, threshold_m):
+            self._shows = (fleet.server_epoch, fleet.n, threshold_m)
+            self._matrix = matrix_of(fleet, threshold_m)
         count = len(self._matrix.robots)
         size = Size(self.head + count * self.pitch, count + 1)
         if size != self.virtual_size:
@@ -90,12 +97,14 @@ class MatrixPanel(PanelMixin, ScrollView, can_focus=True):
         else:
             self._follow_selection()
         self.title(f"errors (rms), {self._matrix.unit}")
-        self.subtitle(f"- above {length_text(session.threshold_m)}")
+        self.subtitle(f"- above {length_text(threshold_m)}")
         rows = range(self.scroll_offset.y, self.scroll_offset.y + self.extent.height - 1)
-        lines = [self._line("", [self._column_name(c) for c in range(count)])]
+        first = self.scroll_offset.x // self.pitch
+        columns = range(first, min(count, first + self.extent.width // self.pitch + 2))
+        lines = [self._line("", [self._column_name(c) for c in columns])]
         for row in rows:
             if row < count:
-                cells = [self._cell(row, column) for column in range(count)]
+                cells = [self._cell(row, column) for column in columns]
                 lines.append(self._line(self._matrix.robots[row], cells))
         blank = Strip.blank(self.extent.width, DIM)
         return lines + [blank] * (self.extent.height - len(lines))
@@ -104,7 +113,7 @@ class MatrixPanel(PanelMixin, ScrollView, can_focus=True):
         selected = name != "" and name in (self.session.pair or ())
         paint = style("#ffffff", RED, True) if selected else NAME
         head = Strip([Segment(shorten(name, self.head - 1).ljust(self.head - 1), paint)])
-        left, width = self.scroll_offset.x, self.extent.width - self.head
+        left, width = self.scroll_offset.x % self.pitch, self.extent.width - self.head
         body = Strip(cells).crop(left, left + width)
         gap = Strip([Segment(" ", DIM)])
         return Strip.join([head, gap, body]).adjust_cell_length(self.extent.width, DIM)

@@ -1,8 +1,8 @@
 """Linear transformations between two sets of corresponding 3D points.
 
-Translation from one or two points, rigid from three (Umeyama 1991), affine from four by the Direct Linear
-Transformation with Hartley's normalisation (Hartley and Zisserman, 2nd ed., 4.4). A set that does not determine a model
-steps down to the largest one that it does, and says so.
+Translation from one or two points, rigid from three (Umeyama 1991), affine from four by the Direct
+Linear Transformation with Hartley's normalisation (Hartley and Zisserman, 2nd ed., 4.4). A set
+that does not determine a model steps down to the largest one that it does, and says so.
 """
 
 from dataclasses import dataclass
@@ -130,7 +130,9 @@ def _largest_model(a: Floats, b: Floats, R: Floats) -> tuple[Model, Floats, str]
 
 
 def _consensus(p_a: Floats, p_b: Floats, inlier_m: float | None) -> npt.NDArray[np.bool_]:
-    """The largest set that one rigid motion of three correspondences explains; all triples are tried up to 12 points."""
+    """The largest set that one rigid motion of three correspondences explains; all triples are
+    tried up to 12 points.
+    """
     everyone = np.ones(len(p_a), bool)
     if inlier_m is None or len(p_a) < 4:
         return everyone

@@ -1,4 +1,6 @@
-"""What geometry raises when the input determines nothing; callers turn it into a rejection with its reason."""
+"""What geometry raises when the input determines nothing; callers turn it into a rejection with its
+reason.
+"""
 
 
 class DegenerateGeometryError(ValueError):

@@ -1,4 +1,6 @@
-"""Does the world agree with a pose? The moved cloud must lie on what the other view sees, and hide nothing it sees."""
+"""Does the world agree with a pose? The moved cloud must lie on what the other view sees, and hide
+nothing it sees.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -56,7 +58,8 @@ class SeenAgain:
         visible: share of the sample that falls into the image.
         compared: number of points near a point of the other view.
         agree: share of these whose depth agrees with one of the nearest.
-        through: share that lies clearly in front of all the nearest: the other view sees through them.
+        through: share that lies clearly in front of all the nearest: the other view sees through
+            them.
     """
 
     visible: float
@@ -89,7 +92,9 @@ def agreement(i: Surface, j: Surface, T_i_j: Floats) -> Agreement:
 
 
 def seen_again(source: Surface, target: Surface, T_target_source: Floats) -> SeenAgain:
-    """Moves the source's sample into the target view and compares depths with the four nearest pixels there."""
+    """Moves the source's sample into the target view and compares depths with the four nearest
+    pixels there.
+    """
     moved = transform(T_target_source, source.sample)
     z = moved[:, 2]
     ahead = z > 1e-6

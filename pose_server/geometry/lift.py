@@ -1,4 +1,6 @@
-"""The 3D point under a pixel, with its covariance: never a mean across a depth edge, never a guess where there is no depth."""
+"""The 3D point under a pixel, with its covariance: never a mean across a depth edge, never a guess
+where there is no depth.
+"""
 
 from dataclasses import dataclass
 
@@ -35,8 +37,9 @@ def lift_pixel(
 ) -> LiftedPoint:
     """Lifts a pixel onto the surface of the points near it.
 
-    A local plane in inverse depth (planes stay planes there) is fitted to the neighbours that lie on the same surface
-    as the nearest one; it is drawn to a constant where the neighbours do not determine a slope.
+    A local plane in inverse depth (planes stay planes there) is fitted to the neighbours that lie
+    on the same surface as the nearest one; it is drawn to a constant where the neighbours do not
+    determine a slope.
 
     Args:
         pixel: (2,) where.
@@ -73,7 +76,9 @@ def lift_pixel(
 
 
 def _plane_at(offset: Floats, q: Floats) -> float:
-    """Value at the origin of a weighted plane through (offset (N, 2), q (N,)), with a ridge on the slope."""
+    """Value at the origin of a weighted plane through (offset (N, 2), q (N,)), with a ridge on the
+    slope.
+    """
     weight = 1.0 / ((offset**2).sum(axis=1) + 1.0)
     X = np.column_stack((np.ones(len(q)), offset))
     A = (X * weight[:, None]).T @ X + np.diag([1e-9, 2.0, 2.0])

@@ -1,4 +1,6 @@
-"""Which salient point of one view is which of the other: by descriptor alone, and around a predicted place."""
+"""Which salient point of one view is which of the other: by descriptor alone, and around a
+predicted place.
+"""
 
 from dataclasses import dataclass
 
@@ -65,7 +67,8 @@ def guided_matches(
     min_cosine: float = 0.85,
     ratio: float = 0.9,
 ) -> tuple[Indices, Floats]:
-    """The best descriptor within a radius of the predicted place, and clearly better than others there.
+    """The best descriptor within a radius of the predicted place, and clearly better than others
+    there.
 
     Args:
         prediction: places in the target view.

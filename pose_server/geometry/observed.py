@@ -55,7 +55,9 @@ class Observed:
         return float(self.K[0, 0])
 
     def project(self, points: Floats) -> tuple[Floats, Floats]:
-        """Pixels (N, 2) and depths (N,) of points in this camera's frame; meaningless where the depth is not positive."""
+        """Pixels (N, 2) and depths (N,) of points in this camera's frame; meaningless where the
+        depth is not positive.
+        """
         z = points[:, 2]
         safe = np.where(z > 0, z, np.inf)
         uv = (points @ self.K.T)[:, :2] / safe[:, None]

@@ -1,9 +1,12 @@
 """Anisotropic refinement of a pose from matched salient points.
 
-A point's direction is known ten to fifty times better than its depth. Each match is therefore judged in the image and
-in inverse depth, with the covariance of both points: the lifted point of one view is moved into the other, where its
-pixel and inverse depth are compared with what was measured there. Robust Gauss-Newton with Geman-McClure weights on
-Mahalanobis distances; the two noise levels are estimated anew from the residuals.
+A point's direction is known ten to fifty times better than its depth. Each match is therefore
+judged in the image and
+in inverse depth, with the covariance of both points: the lifted point of one view is moved into
+    the other, where its
+pixel and inverse depth are compared with what was measured there. Robust Gauss-Newton with
+Geman-McClure weights on Mahalanobis distances; the two noise levels are estimated anew from the
+residuals.
 """
 
 from dataclasses import dataclass
@@ -40,7 +43,8 @@ class Refinement:
 
     Attributes:
         T_i_j: (4, 4) camera j in camera i.
-        information: (6, 6) of left perturbations, rotation first, inflated where residuals exceed the noise.
+        information: (6, 6) of left perturbations, rotation first, inflated where residuals exceed
+            the noise.
         inliers: (M,) which matches agree.
         support: sum of the robust weights.
         noise: the noise found.
@@ -71,7 +75,7 @@ def refine(
     j: Observed,
     matches: Indices,
     T_i_j: Floats,
-    noise: NoiseScale = NoiseScale(),  # noqa: B008 (frozen)
+    noise: NoiseScale = NoiseScale(),
     iterations: int = 8,
     estimate_noise: bool = True,
 ) -> Refinement:
@@ -138,7 +142,9 @@ def _weigh(residuals: _Residuals) -> _Weighed:
 def _result(
     T: Floats, final: _Weighed, noise: NoiseScale, order: Indices, count: int
 ) -> Refinement:
-    """Puts the residuals back into the order of the matches; `order` names them as they were stacked."""
+    """Puts the residuals back into the order of the matches; `order` names them as they were
+    stacked.
+    """
     inliers = final.inliers
     information = np.einsum("mki,mkj->ij", final.residuals.J[inliers], final.WJ[inliers])
     dof = int(np.where(final.residuals.with_depth, 3, 2)[inliers].sum()) - 6
@@ -149,7 +155,9 @@ def _result(
     all_inliers[order] = inliers
     across = np.full(count, np.inf)
     across[order] = np.abs(final.residuals.across)
-    return Refinement(T, information / excess, all_inliers, float(final.weights.sum()), noise, across)
+    return Refinement(
+        T, information / excess, all_inliers, float(final.weights.sum()), noise, across
+    )
 
 
 def _joined(
@@ -187,7 +195,8 @@ def _moved(
 ) -> _Residuals:
     """Residuals of the source's lifted points in the target view.
 
-    `T` is T_target_source. The Jacobian is by the left increment of T (sign 1), or of its inverse (sign -1).
+    `T` is T_target_source. The Jacobian is by the left increment of T (sign 1), or of its inverse
+    (sign -1).
     """
     R = T[:3, :3]
     X = source.points[index_source]

@@ -1,4 +1,6 @@
-"""A start from matched 3D points with many wrong matches: KISS-Matcher's pruning and solver, then a rigid fit."""
+"""A start from matched 3D points with many wrong matches: KISS-Matcher's pruning and solver, then a
+rigid fit.
+"""
 
 import kiss_matcher
 import numpy as np
@@ -13,7 +15,8 @@ Floats = npt.NDArray[np.floating]
 def solve(
     p_i: Floats, p_j: Floats, noise_bound: float
 ) -> tuple[Floats, npt.NDArray[np.bool_]] | None:
-    """T_i_j from matched points (M, 3) in units of the scene's depth, and which matches agree; None if fewer than five do.
+    """T_i_j from matched points (M, 3) in units of the scene's depth, and which matches agree; None
+    if fewer than five do.
 
     KISS-Matcher (Lim et al. 2025) refuses small resolutions, hence the unit.
     """

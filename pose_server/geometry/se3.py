@@ -1,4 +1,6 @@
-"""Rigid motions as (4, 4) float64 arrays; increments are (rotation, translation) and act from the left."""
+"""Rigid motions as (4, 4) float64 arrays; increments are (rotation, translation) and act from the
+left.
+"""
 
 import numpy as np
 import numpy.typing as npt
@@ -35,7 +37,9 @@ def log_so3(R: Floats) -> Floats:
 
 
 def quat_wxyz(R: Floats) -> Floats:
-    """Unit quaternion (w, x, y, z), w >= 0, of a rotation: the largest eigenvector (Bar-Itzhack 2000)."""
+    """Unit quaternion (w, x, y, z), w >= 0, of a rotation: the largest eigenvector (Bar-Itzhack
+    2000).
+    """
     K = np.zeros((4, 4))
     K[0, 0] = np.trace(R)
     K[0, 1:] = K[1:, 0] = [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]
@@ -63,7 +67,9 @@ def transform(T: Floats, points: Floats) -> Floats:
 
 
 def retract(T: Floats, increment: Floats) -> Floats:
-    """`exp(xi) T` to first order in the translation: rotate about the origin of the left frame, then shift."""
+    """`exp(xi) T` to first order in the translation: rotate about the origin of the left frame,
+    then shift.
+    """
     R = exp_so3(increment[:3])
     return make_pose(R @ T[:3, :3], R @ T[:3, 3] + increment[3:])
 
@@ -89,7 +95,9 @@ def rotation_angle(R: Floats) -> float:
 
 
 def position_covariance(T: Floats, covariance: Floats) -> Floats:
-    """(3, 3) covariance of the translation of T under left perturbations with the given (6, 6) covariance."""
+    """(3, 3) covariance of the translation of T under left perturbations with the given (6, 6)
+    covariance.
+    """
     J = np.concatenate((-hat(T[:3, 3]), np.eye(3)), axis=1)
     return J @ covariance @ J.T
 

@@ -1,6 +1,7 @@
 """Aligning two views: several starts, each refined, the best one judged.
 
-All thresholds follow from the noise, the resolution and the median depth; the scene's size never matters.
+All thresholds follow from the noise, the resolution and the median depth; the scene's size never
+matters.
 """
 
 import time
@@ -30,8 +31,9 @@ Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
 RATIO = 0.9
-# Matches share depth errors, so that the raw covariance is too sure: inflated, with a floor, it was calibrated on one
-# data set and checked on others (variance factor; radians and shares of the median depth).
+# Matches share depth errors, so that the raw covariance is too sure: inflated, with a floor, it
+# was calibrated on one data set and checked on others (variance factor; radians and shares of the
+# median depth).
 COVARIANCE_INFLATION = 4.0
 COVARIANCE_FLOOR = 3e-4
 _STRONG_INLIERS = 60
@@ -42,7 +44,9 @@ _COMMON_NOISE = NoiseScale(1.5, 1.2)  # candidates are compared at the same nois
 
 @dataclass(frozen=True)
 class Start:
-    """A pose to begin from, and how far it may be off: `sigma` as a share of the median depth (and radians)."""
+    """A pose to begin from, and how far it may be off: `sigma` as a share of the median depth (and
+    radians).
+    """
 
     kind: str
     T_i_j: Floats
@@ -51,7 +55,9 @@ class Start:
 
 @dataclass(frozen=True)
 class PairResult:
-    """An alignment and how good it is. Poses are camera j in camera i, covariances left, rotation first."""
+    """An alignment and how good it is. Poses are camera j in camera i, covariances left, rotation
+    first.
+    """
 
     T_i_j: Floats | None
     covariance: Floats | None
@@ -125,7 +131,9 @@ class _Pair:
         return agreement(self.i.surface, self.j.surface, T)
 
     def score(self, T: Floats) -> float:
-        """Consistent matches times surface agreement, at a noise level that is the same for all candidates."""
+        """Consistent matches times surface agreement, at a noise level that is the same for all
+        candidates.
+        """
         support = 0.0
         if len(self.ratio) >= 3:
             support = self.scored(T, self.ratio, _COMMON_NOISE).support
@@ -143,7 +151,8 @@ def align_pair(
     Args:
         i, j: the views.
         starts: poses to begin from, beside the one found by features.
-        features: whether to look for a start by features; off where only the given starts may be used.
+        features: whether to look for a start by features; off where only the given starts may be
+            used.
     """
     began = time.perf_counter()
     pair = _Pair(i, j)
@@ -215,7 +224,9 @@ def _from_features(pair: _Pair) -> list[_Candidate]:
 
 
 def _from_start(pair: _Pair, start: Start) -> list[_Candidate]:
-    """A given pose, and what guided matching makes of it with a radius that follows its uncertainty."""
+    """A given pose, and what guided matching makes of it with a radius that follows its
+    uncertainty.
+    """
     candidates = [_candidate(pair, start.kind, start.T_i_j)]
     radii = tuple(
         sorted({min(0.06, 2 * start.sigma), min(0.03, start.sigma), 0.01, 0.006}, reverse=True)
@@ -358,7 +369,9 @@ def _rival(pair: _Pair, ratio: Refinement | None) -> int:
 
 
 def _calibrated(information: Floats, depth_m: float) -> Floats | None:
-    """(6, 6) covariance with the inflation and the floor that made it honest; None if it is not determined."""
+    """(6, 6) covariance with the inflation and the floor that made it honest; None if it is not
+    determined.
+    """
     scale = np.diag([1.0] * 3 + [1.0 / depth_m] * 3)  # positions as shares of the depth
     scaled = np.linalg.inv(scale) @ information @ np.linalg.inv(scale)
     values, vectors = np.linalg.eigh(scaled)
@@ -372,7 +385,9 @@ def _calibrated(information: Floats, depth_m: float) -> Floats | None:
 
 
 def regression_error(pair: _Pair, T: Floats) -> tuple[float, int]:
-    """Sum of truncated squared distances (m^2) over salient points of both views brought into each other's sight."""
+    """Sum of truncated squared distances (m^2) over salient points of both views brought into each
+    other's sight.
+    """
     total, count = 0.0, 0
     radius = max(0.03, 4 * pair.sigma) * pair.depth_m
     for source, target, T_ts in ((pair.j, pair.i, T), (pair.i, pair.j, inverse(T))):

@@ -1,4 +1,6 @@
-"""Which keyframes of which robots are worth aligning, and how much each pair of robots deserves the next turn."""
+"""Which keyframes of which robots are worth aligning, and how much each pair of robots deserves the
+next turn.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -18,7 +20,9 @@ _WIDE_COSINE = 0.35  # optical axes further apart than 70 deg are not worth tryi
 
 
 def offer_keyframe(site: "Site", view: ViewName) -> None:
-    """Puts a new keyframe beside all others: of other robots, and of other segments of its own robot."""
+    """Puts a new keyframe beside all others: of other robots, and of other segments of its own
+    robot.
+    """
     for other in site.keyframes():
         if other == view or other not in site.views:
             continue

@@ -1,4 +1,6 @@
-"""Runs alignments in worker processes: one job function, views prepared once per worker, dead workers replaced."""
+"""Runs alignments in worker processes: one job function, views prepared once per worker, dead
+workers replaced.
+"""
 
 import ctypes
 import os
@@ -39,7 +41,8 @@ class Job:
     """Align two views.
 
     Attributes:
-        purpose: for clicks, to follow one robot's own motion (i is its keyframe), or for a pair of robots.
+        purpose: for clicks, to follow one robot's own motion (i is its keyframe), or for a pair of
+            robots.
         i, j: the views.
         starts: poses to begin from, camera j in camera i.
         features: whether to look for a start by features as well.
@@ -69,8 +72,8 @@ class Done:
 class Engine:
     """A pool of local worker processes.
 
-    Used from one thread; `report` is called from the pool's thread and must only store. Every `Done` is handed back
-    to `retire`, which runs the job again where its worker died.
+    Used from one thread; `report` is called from the pool's thread and must only store. Every
+    `Done` is handed back to `retire`, which runs the job again where its worker died.
     """
 
     def __init__(self, workers: int, report: Callable[[Done], None]) -> None:

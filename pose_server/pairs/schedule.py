@@ -1,7 +1,8 @@
 """Which pair is next: smooth weighted round robin over pairs of robots.
 
-Every pick raises each pair's credit by its weight and takes the sum from the winner (Nginx's smooth variant), so that
-shares are proportional to weights and no pair with a positive weight starves.
+Every pick raises each pair's credit by its weight and takes the sum from the winner (Nginx's
+smooth variant), so that shares are proportional to weights and no pair with a positive weight
+starves.
 """
 
 from collections.abc import Mapping

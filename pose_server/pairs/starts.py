@@ -25,7 +25,9 @@ _MAX_SEEN_THROUGH = 0.25
 
 @dataclass(frozen=True)
 class Clicks:
-    """Correspondences between two views: (N, 2) pixels, (N,) depths along the optical axis and their sigmas, metres."""
+    """Correspondences between two views: (N, 2) pixels, (N,) depths along the optical axis and
+    their sigmas, metres.
+    """
 
     uv_i: Floats
     uv_j: Floats
@@ -50,7 +52,8 @@ def operator_start(
 ) -> OperatorStart | None:
     """DLT on the clicks, then anisotropic refinement where they determine a full pose.
 
-    One or two clicks give a translation only; the rotation comes from the best other start, without one there is none.
+    One or two clicks give a translation only; the rotation comes from the best other start,
+    without one there is none.
     """
     observed_i = _observed(i, clicks.uv_i, clicks.z_i, clicks.sigma_i)
     observed_j = _observed(j, clicks.uv_j, clicks.z_j, clicks.sigma_j)
@@ -92,7 +95,8 @@ def operator_start(
 def with_operator_fallback(
     result: PairResult, operator: OperatorStart | None, i: PreparedView, j: PreparedView
 ) -> PairResult:
-    """Where features cannot confirm a pose that three clicks determine, the clicks' own pose is plausible.
+    """Where features cannot confirm a pose that three clicks determine, the clicks' own pose is
+    plausible.
 
     Unless the world contradicts it: the moved cloud is seen through.
     """

@@ -1,7 +1,9 @@
-"""Following one robot through its own views: which keyframe a view hangs on, and when it becomes one itself.
+"""Following one robot through its own views: which keyframe a view hangs on, and when it becomes
+one itself.
 
-A view that moved little hangs on its keyframe by their alignment. One that moved far hangs on another keyframe if the
-robot came back to it, and becomes a keyframe otherwise. One that aligns with nothing starts a new segment.
+A view that moved little hangs on its keyframe by their alignment. One that moved far hangs on
+another keyframe if the robot came back to it, and becomes a keyframe otherwise. One that aligns
+with nothing starts a new segment.
 """
 
 from dataclasses import dataclass, field
@@ -24,7 +26,9 @@ _TRIES = 3  # keyframes that a view is tried against before it starts a segment
 
 @dataclass(frozen=True)
 class Attached:
-    """A view hanging on a keyframe (maybe itself): T_keyframe_view of their cameras, covariance left."""
+    """A view hanging on a keyframe (maybe itself): T_keyframe_view of their cameras, covariance
+    left.
+    """
 
     view: ViewName
     keyframe: ViewName
@@ -67,7 +71,9 @@ class Track:
         self.attached[view] = Attached(view, view, np.eye(4), np.zeros((6, 6)), "verified")
 
     def next_try(self, view: ViewName, likely: list[ViewName]) -> ViewName | None:
-        """The keyframe to align a view with next: the reference, then the likeliest others; None to give up."""
+        """The keyframe to align a view with next: the reference, then the likeliest others; None to
+        give up.
+        """
         tried = self._tried.setdefault(view, [])
         order = ([self.reference] if self.reference else []) + likely
         left = [
@@ -92,8 +98,10 @@ class Track:
             nearer: another keyframe that the view is likely near to, if any.
 
         Returns:
-            attached: it hangs on the keyframe; try: align it with the next one; keyframe: it became one, linked
-            to the one it was aligned with; segment: it aligned with nothing and became one by itself.
+            attached: it hangs on the keyframe; try: align it with the next one; keyframe: it
+                became one, linked
+            to the one it was aligned with; segment: it aligned with nothing and became one by
+            itself.
         """
         if not accepted(result):
             return "try"
@@ -109,7 +117,9 @@ class Track:
         return self._promote(here)
 
     def give_up(self, view: ViewName) -> Step:
-        """No keyframe is left to try: it becomes a keyframe, linked if it aligned with a far one before."""
+        """No keyframe is left to try: it becomes a keyframe, linked if it aligned with a far one
+        before.
+        """
         if (fallback := self._fallback.get(view)) is not None:
             return self._promote(fallback)
         self.begin(view)

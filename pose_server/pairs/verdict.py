@@ -1,4 +1,6 @@
-"""Is a found pose right? Every test is a small function with its reason; a false `verified` is the worst failure."""
+"""Is a found pose right? Every test is a small function with its reason; a false `verified` is the
+worst failure.
+"""
 
 from dataclasses import dataclass
 from typing import Literal

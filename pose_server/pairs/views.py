@@ -1,4 +1,6 @@
-"""A received view made ready for alignment: decoded, lifted, with search trees built when first needed."""
+"""A received view made ready for alignment: decoded, lifted, with search trees built when first
+needed.
+"""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -45,7 +47,9 @@ class PreparedView:
     median_depth_m: float
 
     def strongest(self, count: int) -> "PreparedView":
-        """The same view with its strongest salient points only: enough where two views are nearly the same."""
+        """The same view with its strongest salient points only: enough where two views are nearly
+        the same.
+        """
         if len(self.descriptors) <= count:
             return self
         o = self.observed

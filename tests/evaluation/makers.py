@@ -44,11 +44,11 @@ def write_posed_views(
     rng = np.random.default_rng(5)
     world = rng.uniform(-0.5, 0.5, (points, 3))
     poses = ring_poses(count)
-    names = [f"photo{k:02d}.png" for k in range(count)]
+    names = [f"photo{k:02d}.png" for k in range(count + 1)]
     for sub in ("images", *KINDS):
         (folder / sub).mkdir(parents=True, exist_ok=True)
     cameras, index = [], {}
-    for k, (name, T_world_camera) in enumerate(zip(names, poses, strict=True)):
+    for k, (name, T_world_camera) in enumerate(zip(names, poses, strict=False)):
         T_camera_world = inverse(T_world_camera)
         # view k does not see the points from 20 k on
         seen = np.arange(points - 20 * k)

@@ -215,9 +215,7 @@ class SameEverywhere:
 
 def question() -> Question:
     names = {robot: ViewName(robot=robot, epoch=EPOCH, seq=0) for robot in "ab"}
-    return Question(
-        i="a", j="b", view_i=names["a"], view_j=names["b"], reason="join", gain=1.0
-    )
+    return Question(i="a", j="b", view_i=names["a"], view_j=names["b"], reason="join", gain=1.0)
 
 
 @pytest.fixture
@@ -281,5 +279,3 @@ def test_a_rejected_click_is_noted_with_its_reason_and_not_timed(site, operator)
     site.put(KEYS.receipts(update.operator), receipt(update, 1, rejections=(rejection,)))
     assert wait_until(lambda: operator.rejected == ["no depth there"], 5)
     assert all(sent.update.n != 1 for sent in operator.in_flight())
-
-

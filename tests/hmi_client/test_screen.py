@@ -47,7 +47,7 @@ async def screen(session, size=(160, 50)):
 
 
 def text(panel):
-    return "\n".join(strip.text for strip in panel._strips)
+    return "\n".join(strip.text for strip in panel._strips).replace("\u00a0", " ")
 
 
 async def press(pilot, *keys):
