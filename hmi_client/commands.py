@@ -3,6 +3,7 @@
 import json
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -87,7 +88,8 @@ def watch(
     """Prints poses, errors of pairs and events as they change."""
     from hmi_client.reports import Watcher, sentence
 
-    with c.Connection.of(connect, site, config, operator).server() as session:
+    where = c.Connection.of(connect, site, config, operator)
+    with suppress(KeyboardInterrupt), where.server() as session:
         watcher = Watcher(session)
         end = None if seconds is None else time.monotonic() + seconds
         while end is None or time.monotonic() < end:

@@ -36,7 +36,10 @@ class Gallery:
         robot = picture.view.robot
         if robot not in self.pair:
             return False
+        known = self._newest.get(robot)
         self._newest[robot] = picture
+        if known is not None and known.view == picture.view:
+            return False
         if self._frozen is None:
             return True
         if robot in self._frozen:

@@ -156,7 +156,7 @@ def entries_text(pair: Pair, entries: Sequence[Entry]) -> str:
     """The correspondences of a pair."""
     rows = [
         (
-            str(entry.id or ""),
+            "" if entry.id is None else str(entry.id),
             entry.status,
             f"{entry.pick.pixel_i[0]:.1f}, {entry.pick.pixel_i[1]:.1f}",
             f"{entry.pick.pixel_j[0]:.1f}, {entry.pick.pixel_j[1]:.1f}",

@@ -75,8 +75,6 @@ class OperatorSession:
         self._revisions: Counter[str] = Counter()
         self._changed = threading.Condition(threading.RLock())
 
-    # ---- reading ---------------------------------------------------------------------------------
-
     def revisions(self) -> dict[str, int]:
         """A number per topic that grows with every change; a topic without is at 0."""
         with self._changed:

@@ -37,7 +37,9 @@ def run(
     anchor: Annotated[str | None, typer.Option(help="Robot at the fleet's origin.")] = None,
     dump_config: Annotated[bool, typer.Option(help="Print the settings and end.")] = False,
 ) -> None:
-    """Runs the pose server. With neither --listen nor --connect it is its own router on port 7447."""
+    """Runs the pose server. With neither --listen nor --connect it is its own router on port
+    7447.
+    """
     from pose_server.settings import ServerSettings
 
     given = {

@@ -62,7 +62,9 @@ def clicks_between(site: Site, a: str, b: str) -> tuple[tuple[ViewName, ViewName
 
 
 def judge(site: Site) -> list[RobotPair]:
-    """Tells the book how each correspondence fits the solution; the pairs whose judgement changed."""
+    """Tells the book how each correspondence fits the solution; the pairs whose judgement
+    changed.
+    """
     changed = []
     for pair in site.book.pairs():
         verdicts = {kept.item.id: _judged(site, kept) for kept in site.book.of(*pair)}

@@ -1,4 +1,6 @@
-"""What reaches the server beside clouds: decoded in the subscriber's thread, which only stores it."""
+"""What reaches the server beside clouds: decoded in the subscriber's thread, which only stores
+it.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

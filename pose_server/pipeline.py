@@ -20,7 +20,7 @@ from pose_server.pairs.candidates import candidate_views, offer_keyframe, weight
 from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.tracking import Attached, accepted, moved
 from pose_server.site import Robot, RobotPair, Site, on_keyframes
-from pose_server.views import KeptView, lift_click
+from pose_server.views import STILL_PX, KeptView, lift_click, stands_still
 from protocol.messages import OperatorUpdate, ViewName
 
 MAX_KEYFRAMES = 40
@@ -35,6 +35,8 @@ def receive_view(site: Site, view: KeptView) -> None:
     if not robot.track.keyframes:
         robot.waiting = None
         _new_keyframe(site, robot, view.name)
+    elif _stayed(site, robot, view):
+        robot.waiting = None
 
 
 def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
@@ -58,7 +60,12 @@ def next_job(site: Site, now_s: float) -> Job | None:
     """What to align next: the operator's pairs, then the robots' own motion, then the pair whose
     turn it is.
     """
-    return _click_job(site) or _track_job(site) or _pair_job(site, now_s)
+    if (job := _click_job(site)) is not None:
+        return job
+    site.pair_is_due = not site.pair_is_due
+    if site.pair_is_due:
+        return _pair_job(site, now_s) or _track_job(site)
+    return _track_job(site) or _pair_job(site, now_s)
 
 
 def take_result(site: Site, done: Done, now_s: float) -> None:
@@ -203,6 +210,18 @@ def _follow(site: Site, robot: Robot, view: ViewName) -> Job | None:
     if robot.track.newest is not None and robot.track.newest.keyframe == keyframe:
         starts = (Start("previous", robot.track.newest.T_keyframe_view, 0.03),)
     return Job("track", site.views[keyframe].encoded, site.views[view].encoded, starts)
+
+
+def _stayed(site: Site, robot: Robot, view: KeptView) -> bool:
+    """Hangs a view on the reference without a worker where no pixel moved."""
+    reference = robot.track.reference
+    if reference is None or reference not in site.views:
+        return False
+    if not stands_still(site.views[reference], view):
+        return False
+    sigma_rad = STILL_PX / float(view.camera.K[0, 0])
+    robot.track.stay(view.name, reference, sigma_rad, sigma_rad * view.median_depth_m)
+    return True
 
 
 def _followed(site: Site, done: Done) -> None:

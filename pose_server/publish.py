@@ -121,7 +121,7 @@ def _why_not(
     depth_m: float,
 ) -> str:
     if site.gauge is None or root != site.gauge:
-        return "not joined to the fleet's anchor: no verified alignment with it, directly or through others"
+        return "no verified alignment joins it to the fleet's anchor, directly or through others"
     if age_s > settings.fresh_s:
         return (
             f"its last pose is {age_s:.0f} s old: its newer views align with none of its keyframes"
@@ -130,7 +130,8 @@ def _why_not(
         return "the links to it contradict each other"
     share = position_sigma(T, covariance) / depth_m
     if share > settings.located_sigma:
-        return f"its position is known to {share:.1%} of the depth only, need {settings.located_sigma:.0%}"
+        limit = settings.located_sigma
+        return f"its position is known to {share:.1%} of the depth, need {limit:.0%}"
     return ""
 
 

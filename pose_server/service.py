@@ -291,7 +291,9 @@ class Service:
 
 
 def serve(build: Callable[[], Service]) -> None:
-    """Builds a service and runs it until SIGTERM or SIGINT; the session is closed whatever happens."""
+    """Builds a service and runs it until SIGTERM or SIGINT; the session is closed whatever
+    happens.
+    """
     service = build()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: service.stopped.set())

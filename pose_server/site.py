@@ -98,6 +98,7 @@ class Site:
     gauge_revision: int = 0
     turn: RoundRobin[RobotPair] = field(default_factory=RoundRobin[RobotPair])
     dirty: bool = False
+    pair_is_due: bool = False
     events: list[str] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     gauge: ViewName | None = None

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.lift import LiftedPoint, lift_pixel
+from pose_server.geometry.matching import ratio_matches
 from pose_server.pairs.engine import EncodedView
 from pose_server.pairs.views import point_noise
 from protocol.clouds import decode_salient, decode_scattered, depth_image, grid_to_pixel, points_of
@@ -23,6 +24,8 @@ MIN_POINTS = 10
 _DEPTH_SAMPLE = 2000  # points for the median depth
 _SIGNATURE_POINTS = 300
 _SIGNATURE_RATIO = 0.85
+_STILL_MATCHES = 40
+STILL_PX = 0.15
 
 
 class NoDepthError(FleetPoseError):
@@ -36,6 +39,7 @@ class KeptView:
     Attributes:
         payload: the encoded `View`.
         received_s: the server's monotonic clock.
+        signature_uv: (S, 2) pixels of the signature's points.
         signature: (S, D) float32 unit descriptors of the strongest salient points, to guess which
             views are alike.
     """
@@ -49,6 +53,7 @@ class KeptView:
     has_image: bool
     up_camera: npt.NDArray[np.float64] | None
     signature: npt.NDArray[np.float32]
+    signature_uv: npt.NDArray[np.float32]
 
     @property
     def encoded(self) -> EncodedView:
@@ -69,10 +74,9 @@ def open_view(payload: bytes, encoding: str | None, now_s: float) -> KeptView:
             f"view {view.name} has {len(points.xyz)} points with depth, need {MIN_POINTS}"
         )
     salient = decode_salient(view.salient)
-    strongest = salient.descriptors[np.isfinite(salient.inverse_depth)][:_SIGNATURE_POINTS].astype(
-        np.float32
-    )
-    norms = np.maximum(np.linalg.norm(strongest, axis=1, keepdims=True), 1e-6)
+    strongest = np.flatnonzero(np.isfinite(salient.inverse_depth))[:_SIGNATURE_POINTS]
+    signature = salient.descriptors[strongest].astype(np.float32)
+    norms = np.maximum(np.linalg.norm(signature, axis=1, keepdims=True), 1e-6)
     return KeptView(
         name=view.name,
         payload=payload,
@@ -82,7 +86,8 @@ def open_view(payload: bytes, encoding: str | None, now_s: float) -> KeptView:
         median_depth_m=float(np.median(points.xyz[:, 2])),
         has_image=view.has_image,
         up_camera=view.up_camera,
-        signature=strongest / norms,
+        signature=signature / norms,
+        signature_uv=salient.uv[strongest],
     )
 
 
@@ -90,17 +95,23 @@ def likeness(a: KeptView, b: KeptView) -> float:
     """A cheap guess, 0 to 1, of how much two views show the same: clear matches among the strongest
     points.
     """
+    return float(min(1.0, len(_clear_matches(a, b)) / 40.0))
+
+
+def stands_still(a: KeptView, b: KeptView) -> bool:
+    """Whether a robot did not move between two of its views: its strongest points kept their pixels."""
+    matches = _clear_matches(a, b)
+    if a.camera.width != b.camera.width or len(matches) < _STILL_MATCHES:
+        return False
+    shift = b.signature_uv[matches[:, 1]] - a.signature_uv[matches[:, 0]]
+    drift = np.abs(np.median(shift, axis=0)).max()
+    return bool(drift < STILL_PX and np.median(np.linalg.norm(shift, axis=1)) < 3 * STILL_PX)
+
+
+def _clear_matches(a: KeptView, b: KeptView) -> npt.NDArray[np.int64]:
     if min(len(a.signature), len(b.signature)) < 3:
-        return 0.0
-    cosines = a.signature @ b.signature.T
-    best = cosines.argmax(axis=1)
-    rows = np.arange(len(best))
-    first = cosines[rows, best]
-    mutual = cosines.argmax(axis=0)[best] == rows
-    cosines[rows, best] = -1.0
-    second = cosines.max(axis=1)
-    clear = mutual & ((1 - first) < _SIGNATURE_RATIO**2 * (1 - second))
-    return float(min(1.0, clear.sum() / 40.0))
+        return np.zeros((0, 2), np.int64)
+    return ratio_matches(a.signature @ b.signature.T, _SIGNATURE_RATIO)
 
 
 def lift_click(kept: KeptView, pixel: npt.NDArray[np.float64]) -> LiftedPoint:
@@ -112,7 +123,8 @@ def lift_click(kept: KeptView, pixel: npt.NDArray[np.float64]) -> LiftedPoint:
     camera = kept.camera
     if not (-0.5 <= pixel[0] <= camera.width - 0.5 and -0.5 <= pixel[1] <= camera.height - 0.5):
         raise NoDepthError(
-            f"pixel ({pixel[0]:.0f}, {pixel[1]:.0f}) is outside the {camera.width}x{camera.height} image"
+            f"pixel ({pixel[0]:.0f}, {pixel[1]:.0f}) is outside the image "
+            f"({camera.width}x{camera.height})"
         )
     cloud = unpack(View, kept.payload).cloud
     if isinstance(cloud, DepthCloud):

@@ -1,4 +1,6 @@
-"""The one root of the errors that a process survives; anything else is a bug and ends the process."""
+"""The one root of the errors that a process survives; anything else is a bug and ends the
+process.
+"""
 
 
 class FleetPoseError(Exception):
@@ -8,7 +10,9 @@ class FleetPoseError(Exception):
 
 
 class CodecError(FleetPoseError):
-    """Bytes that are no valid message: malformed, oversize, of another version, or of wrong shape."""
+    """Bytes that are no valid message: malformed, oversize, of another version, or of wrong
+    shape.
+    """
 
 
 class NameRefusedError(FleetPoseError):

@@ -138,7 +138,9 @@ class Publisher:
 
 @dataclass
 class Link:
-    """A session with the project's streams; close it in a `finally`, else the process may not end."""
+    """A session with the project's streams; close it in a `finally`, else the process may not
+    end.
+    """
 
     session: zenoh.Session
     _declared: list[Any] = field(default_factory=list)

@@ -29,7 +29,9 @@ class PointNoise:
 def covariances(
     points: Floats, focal_px: float, pixel_sigma_px: Floats | float, depth_sigma_m: Floats
 ) -> Floats:
-    """(N, 3, 3) covariances in the camera frame of points (N, 3) from pixel and depth sigmas (N,)."""
+    """(N, 3, 3) covariances in the camera frame of points (N, 3) from pixel and depth sigmas
+    (N,).
+    """
     ray = points / points[:, 2:3]
     across = (pixel_sigma_px * points[:, 2] / focal_px) ** 2
     along = ray[:, :, None] * ray[:, None, :] * (depth_sigma_m**2)[:, None, None]

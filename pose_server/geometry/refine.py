@@ -25,7 +25,7 @@ Indices = npt.NDArray[np.int64]
 _NO_DEPTH_VARIANCE = 1e6  # times the variance it replaces: the third residual then says nothing
 _SCALE_3DOF, _SCALE_2DOF = 9.0, 7.0  # where a Geman-McClure weight has fallen to a quarter
 _INLIER_3DOF, _INLIER_2DOF = 14.2, 11.3  # chi-square, 99.7 %
-_SETTLED_RAD = 1e-6
+_SETTLED_SIGMAS = 0.05  # a step of less than this share of the pose's own sigma ends the search
 _CHI2_MEDIAN_1DOF = 1.4826  # sigma from the median of absolute values
 
 
@@ -101,9 +101,9 @@ def refine(
             break
         norm = np.linalg.norm(increment[:3])
         T = retract(T, increment if norm < 0.5 else increment * (0.5 / norm))
-        if estimate_noise and step >= 2 and weighed.inliers.sum() >= 8:
+        if estimate_noise and step >= 1 and weighed.inliers.sum() >= 8:
             noise = _estimated(noise, weighed, i, j)
-        elif norm < _SETTLED_RAD and step > 0:
+        if step >= 2 and weighed.length2(increment) < _SETTLED_SIGMAS**2:
             break
     final = _weigh(_joined(i, j, matches, forward, backward, T, noise))
     order = np.concatenate((np.nonzero(forward)[0], np.nonzero(backward)[0]))
@@ -119,6 +119,12 @@ class _Weighed:
     weights: Floats
     inliers: Bools
     WJ: Floats
+
+    def length2(self, increment: Floats) -> float:
+        """Squared length of an increment (6,) in sigmas of the pose."""
+        moved = np.einsum("mki,i->mk", self.residuals.J, increment)
+        along = np.einsum("mki,i->mk", self.WJ, increment)
+        return float(np.einsum("m,mk,mk->", self.weights, moved, along))
 
     def step(self) -> Floats | None:
         """The Gauss-Newton increment (6,), or None where the matches say nothing."""

@@ -38,6 +38,7 @@ COVARIANCE_INFLATION = 4.0
 COVARIANCE_FLOOR = 3e-4
 _STRONG_INLIERS = 60
 _STRONG_SIGMA = 0.003  # raw, share of the depth
+_ENOUGH_MATCHES = 300  # to find a pose; all are used to judge it
 _START_NOISE = NoiseScale(2.0, 1.5)
 _COMMON_NOISE = NoiseScale(1.5, 1.2)  # candidates are compared at the same noise
 
@@ -158,26 +159,30 @@ def align_pair(
     pair = _Pair(i, j)
     matched = time.perf_counter()
     candidates: list[_Candidate] = []
-    if features:
-        candidates += _from_features(pair)
     for start in starts:
         candidates += _from_start(pair, start)
-    if not candidates:
+    result = _judged(pair, _best(candidates)) if candidates else None
+    if features and (result is None or not _is_strong(result)):
+        more = _from_features(pair)
+        candidates += more
+        result = _judged(pair, _best(candidates)) if more else result
+    if result is None:
         return PairResult(None, None, "rejected", (_why_no_start(pair, starts),))
-    refined = time.perf_counter()
-    best = max(candidates, key=lambda candidate: candidate.score)
-    result = _judged(pair, best)
     judged = time.perf_counter()
     if i.dense and j.dense and not _is_strong(result):
+        best = _best(candidates)
         dense = _with_icp(pair, best)
         result = result if dense is best else _judged(pair, dense)
     timings = {
         "match": 1e3 * (matched - began),
-        "refine": 1e3 * (refined - matched),
-        "verdict": 1e3 * (judged - refined),
+        "refine_and_judge": 1e3 * (judged - matched),
         "icp": 1e3 * (time.perf_counter() - judged),
     }
     return replace(result, timings_ms=timings)
+
+
+def _best(candidates: Sequence[_Candidate]) -> _Candidate:
+    return max(candidates, key=lambda candidate: candidate.score)
 
 
 def _is_strong(result: PairResult) -> bool:
@@ -228,9 +233,7 @@ def _from_start(pair: _Pair, start: Start) -> list[_Candidate]:
     uncertainty.
     """
     candidates = [_candidate(pair, start.kind, start.T_i_j)]
-    radii = tuple(
-        sorted({min(0.06, 2 * start.sigma), min(0.03, start.sigma), 0.01, 0.006}, reverse=True)
-    )
+    radii = (min(0.06, 2 * start.sigma), 0.008)
     return candidates + _guided(pair, start.kind, start.T_i_j, radii, NO_MATCHES, _START_NOISE)
 
 
@@ -241,8 +244,9 @@ def _guided(
         matches = np.unique(np.concatenate((pair.guided(T, radius), kept)), axis=0)
         if len(matches) < 6:
             return []
+        some = matches[:: 1 + len(matches) // _ENOUGH_MATCHES]
         try:
-            found = pair.refined(T, matches, noise)
+            found = pair.refined(T, some, noise)
         except DegenerateGeometryError:
             return []
         T, noise = found.T_i_j, found.noise
@@ -338,7 +342,9 @@ def _robust_sigma(residuals: Floats) -> float:
 
 
 def _places(pair: _Pair, matches: Indices) -> int:
-    """Matches at distinct places, on a grid of 4 px in both views: copies of one spot count once."""
+    """Matches at distinct places, on a grid of 4 px in both views: copies of one spot count
+    once.
+    """
     if len(matches) == 0:
         return 0
     cells_i = np.unique(np.rint(pair.i.observed.uv[matches[:, 0]] / 4), axis=0)

@@ -70,7 +70,7 @@ def weights(site: "Site", now_s: float) -> dict[tuple[str, str], float]:
         joined = all(site.joined(*views) for views in record.untried)
         waited = now_s - max(record.last_s, record.since_s)
         like = max(record.untried.values())
-        weight = pair_weight(waited, like, joined, 0.05, edges.get(pair, 0))
+        weight = pair_weight(waited, like, joined, edges.get(pair, 0))
         found[pair] = 0.3 * weight if pair[0] == pair[1] else weight
     return found
 
@@ -84,7 +84,9 @@ def _edge_counts(site: "Site") -> dict[tuple[str, str], int]:
 
 
 def _forget_hopeless(site: "Site", pair: tuple[str, str], record: "PairRecord", edges: int) -> None:
-    """Drops keyframe pairs that the solution already answers, or knows to look at different things."""
+    """Drops keyframe pairs that the solution already answers, or knows to look at different
+    things.
+    """
     gone = []
     for views in record.untried:
         T = site.relative(*views)

@@ -127,7 +127,9 @@ class Engine:
 
 
 def _pool(workers: int) -> ProcessPoolExecutor:
-    """A pool whose workers start at once, so that the first view does not wait for their imports."""
+    """A pool whose workers start at once, so that the first view does not wait for their
+    imports.
+    """
     pool = ProcessPoolExecutor(
         workers, mp_context=get_context("spawn"), initializer=_start_worker, initargs=(os.getpid(),)
     )

@@ -11,6 +11,9 @@ from typing import Generic, TypeVar
 
 K = TypeVar("K")
 
+_JOINED_NEED = 0.15
+_LEAST_LIKENESS = 0.05  # looks deceive: no pair is hopeless
+
 
 @dataclass
 class RoundRobin(Generic[K]):
@@ -31,17 +34,14 @@ class RoundRobin(Generic[K]):
         return winner
 
 
-def pair_weight(
-    waited_s: float, likeness: float, joined: bool, located_sigma: float, edges: int
-) -> float:
+def pair_weight(waited_s: float, likeness: float, joined: bool, edges: int) -> float:
     """How much a pair of robots deserves the next alignment.
 
     Args:
         waited_s: since its last alignment.
         likeness: how alike the most promising untried views look, 0 to 1.
-        joined: whether the two already share a component.
-        located_sigma: position sigma between them, as a share of the depth; 1 where not joined.
+        joined: whether the two already share a component: joining the fleet comes first.
         edges: accepted alignments between them so far.
     """
-    need = 1.0 if not joined else min(1.0, 0.15 + 10.0 * located_sigma) / (1.0 + edges)
-    return (0.05 + likeness) * need * (1.0 + min(waited_s, 60.0) / 10.0)
+    need = _JOINED_NEED / (1.0 + edges) if joined else 1.0
+    return (_LEAST_LIKENESS + likeness) * need * (1.0 + min(waited_s, 60.0) / 10.0)

@@ -65,10 +65,17 @@ class Track:
         self._hang(Attached(view, view, np.eye(4), np.zeros((6, 6)), "verified"))
 
     def recall(self, view: ViewName) -> None:
-        """Makes a view of an earlier life a keyframe, without taking it for where the robot is now."""
+        """Makes a view of an earlier life a keyframe, without taking it for where the robot is
+        now.
+        """
         if view not in self.keyframes:
             self.keyframes.append(view)
         self.attached[view] = Attached(view, view, np.eye(4), np.zeros((6, 6)), "verified")
+
+    def stay(self, view: ViewName, keyframe: ViewName, sigma_rad: float, sigma_m: float) -> None:
+        """Hangs a view of a robot that did not move on a keyframe."""
+        C = np.diag([sigma_rad**2] * 3 + [sigma_m**2] * 3)
+        self._hang(Attached(view, keyframe, np.eye(4), C, "verified"))
 
     def next_try(self, view: ViewName, likely: list[ViewName]) -> ViewName | None:
         """The keyframe to align a view with next: the reference, then the likeliest others; None to

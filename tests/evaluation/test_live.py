@@ -1,5 +1,6 @@
 """Observer and simulated operator over a real network, with a server played by the test."""
 
+import queue
 import time
 
 import numpy as np
@@ -22,7 +23,7 @@ from protocol.messages import (
     View,
     ViewName,
 )
-from protocol.transport import Slots, wait_until
+from protocol.transport import Sample, wait_until
 from tests.evaluation.makers import HEIGHT, WIDTH, K
 
 KEYS = Keys("test")
@@ -113,8 +114,10 @@ class Site:
     def __init__(self, link) -> None:
         self.link = link
         self._publishers = {}
-        self.updates = Slots()
-        self._subscription = link.subscribe_bulk(KEYS.updates("*"), self.updates)
+        self._questions: tuple[Question, ...] = ()
+        self._states = 0
+        self._updates: queue.SimpleQueue[Sample] = queue.SimpleQueue()
+        link.on_latched(KEYS.updates("*"), self._updates.put)
 
     def bulk(self, key, message):
         if key not in self._publishers:
@@ -127,10 +130,23 @@ class Site:
             self._publishers[key] = self.link.latched(key)
         self._publishers[key].put(codec.pack(message), codec.encoding_of(type(message)))
 
-    def next_update(self) -> OperatorUpdate:
-        sample = self.updates.take(10)
-        assert sample is not None
-        return codec.unpack(OperatorUpdate, sample.payload, sample.encoding)
+    def ask(self, *questions: Question):
+        """Publishes the state, as a server does again and again."""
+        self._questions = questions
+        self._states += 1
+        self.put(KEYS.state, state(self._states, questions))
+
+    def next_update(self, timeout_s: float = 20.0) -> OperatorUpdate | None:
+        """The next update, repeats included, while the state is published twice a second."""
+        end = time.monotonic() + timeout_s
+        while time.monotonic() < end:
+            try:
+                sample = self._updates.get(timeout=0.5)
+            except queue.Empty:
+                self.ask(*self._questions)
+                continue
+            return codec.unpack(OperatorUpdate, sample.payload, sample.encoding)
+        return None
 
 
 @pytest.fixture
@@ -238,15 +254,16 @@ def receipt(update: OperatorUpdate, n: int, **more) -> Receipts:
 
 
 def test_nothing_is_clicked_that_was_not_asked(site, observer, operator):
-    site.put(KEYS.state, state(1))
+    site.ask()
     assert wait_until(lambda: observer.state is not None, 5)
-    assert site.updates.take(0.5) is None
+    assert site.next_update(timeout_s=1.0) is None
     assert operator.clicks == 0
 
 
 def test_a_question_is_answered_and_the_click_timed_until_the_pose(site, observer, operator):
-    site.put(KEYS.state, state(1, (question(),)))
+    site.ask(question())
     update = site.next_update()
+    assert update is not None
     assert (update.action, update.i, update.j, update.n) == ("add", "a", "b", 1)
     assert update.view_i == question().view_i
     assert update.pixel_i == pytest.approx(update.pixel_j, abs=12.0)
@@ -263,18 +280,22 @@ def test_a_question_is_answered_and_the_click_timed_until_the_pose(site, observe
 
 
 def test_an_update_is_repeated_until_its_receipt(site, operator):
-    site.put(KEYS.state, state(1, (question(),)))
-    seen = []
-    assert wait_until(lambda: seen.append(site.next_update().n) or seen.count(1) == 2, 10)
-    site.put(KEYS.receipts("op-simulated"), receipt(site.next_update(), 10**6))
-    assert wait_until(lambda: not any(s.receipted_s is None for s in operator.in_flight()[:1]), 5)
+    site.ask(question())
+    updates = [site.next_update()]
+    while [update.n for update in updates].count(1) < 3:
+        updates.append(site.next_update())
+    assert len({update.session for update in updates}) == 1
+    newest = max(update.n for update in updates)
+    site.put(KEYS.receipts("op-simulated"), receipt(updates[0], newest))
+    assert wait_until(lambda: operator.in_flight()[0].receipted_s is not None, 5)
 
 
 def test_a_rejected_click_is_noted_with_its_reason_and_not_timed(site, operator):
     from protocol.messages import Rejection
 
-    site.put(KEYS.state, state(1, (question(),)))
+    site.ask(question())
     update = site.next_update()
+    assert update is not None
     rejection = Rejection(n=1, reason="no depth there")
     site.put(KEYS.receipts(update.operator), receipt(update, 1, rejections=(rejection,)))
     assert wait_until(lambda: operator.rejected == ["no depth there"], 5)

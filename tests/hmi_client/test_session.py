@@ -5,6 +5,7 @@ from hmi_fakes import EPOCH, fleet, pose, view
 
 from hmi_client.errors import OperatorError
 from hmi_client.model import Picture, new_events
+from hmi_client.reports import entries_text
 from hmi_client.session import OperatorSession
 from protocol.messages import Correspondence, PairCorrespondences, Receipts, Rejection
 
@@ -373,3 +374,9 @@ def test_new_events_are_those_behind_the_overlap():
     assert new_events(("a",), ("a",)) == ()
     assert new_events((), ("a", "b")) == ("a", "b")
     assert new_events(("a", "a"), ("a", "a", "a")) == ("a",)
+
+
+def test_a_table_of_correspondences_shows_the_id_zero(session):
+    session.on_correspondences(known((0, 7, A, B)))
+    text = entries_text(("r1", "r2"), session.entries(("r1", "r2")))
+    assert text.splitlines()[1].split()[:2] == ["0", "accepted"]
