@@ -20,6 +20,7 @@ from protocol.errors import FleetPoseError, UnreachableError
 from protocol.transport import free_port, wait_until
 
 GRACE_S = 3.0
+ROBOT_NICE = 10
 ROUTER_START_S = 15.0
 _PR_SET_PDEATHSIG = 1
 _libc = ctypes.CDLL(None)
@@ -36,6 +37,7 @@ class _Child:
     command: list[str]
     log: Path
     process: subprocess.Popen[bytes]
+    nice: int = 0
     told_to_end: bool = False
 
 
@@ -74,11 +76,11 @@ class LocalFleet:
         for signum, handler in self._handlers.items():
             signal.signal(signum, handler)  # pyright: ignore[reportArgumentType]
 
-    def start(self, name: str, module: str, *arguments: str) -> int:
+    def start(self, name: str, module: str, *arguments: str, nice: int = 0) -> int:
         """Starts `python -P -m module arguments` under a name; returns its process id."""
         command = [sys.executable, "-P", "-m", module, *arguments]
         log = self.directory / f"{name}.log"
-        self._children[name] = _Child(command, log, self._spawn(command, log))
+        self._children[name] = _Child(command, log, self._spawn(command, log, nice), nice)
         return self._children[name].process.pid
 
     def start_router(self) -> None:
@@ -102,9 +104,12 @@ class LocalFleet:
         self.start("server", "pose_server", "run", *self.connection, *where, *options)
 
     def start_robot(self, name: str, camera: str, data: str, *options: str) -> None:
-        """Starts a robot agent with a camera (`views`, `rgbd`, ...) and its folder or endpoint."""
+        """Starts a robot agent with a camera (`views`, `rgbd`, ...) and its folder or endpoint.
+
+        In the field a robot has a computer of its own; here it must not take the server's.
+        """
         source = ("--name", name, "--camera", camera, "--data", data)
-        self.start(name, "robot_agent", "run", *self.connection, *source, *options)
+        self.start(name, "robot_agent", "run", *self.connection, *source, *options, nice=ROBOT_NICE)
 
     @property
     def connection(self) -> tuple[str, ...]:
@@ -133,7 +138,10 @@ class LocalFleet:
         self.stop(name)
         child = self._children[name]
         self._children[name] = _Child(
-            child.command, child.log, self._spawn(child.command, child.log)
+            child.command,
+            child.log,
+            self._spawn(child.command, child.log, child.nice),
+            child.nice,
         )
 
     def exited(self) -> dict[str, str]:
@@ -164,7 +172,7 @@ class LocalFleet:
         """How many processes of this fleet still run, children of children included."""
         return len(_members(self._groups))
 
-    def _spawn(self, command: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
+    def _spawn(self, command: Sequence[str], log: Path, nice: int) -> subprocess.Popen[bytes]:
         one_thread = {
             f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "NUMEXPR")
         }
@@ -176,7 +184,7 @@ class LocalFleet:
                 stderr=subprocess.STDOUT,
                 env={**os.environ, **one_thread, "PYTHONUNBUFFERED": "1"},
                 process_group=0,
-                preexec_fn=_end_with(os.getpid()),
+                preexec_fn=_end_with(os.getpid(), nice),
             )
         self._groups.add(process.pid)
         return process
@@ -207,10 +215,11 @@ def _leave(signum: int, frame: FrameType | None) -> None:
     raise SystemExit(128 + signum)
 
 
-def _end_with(parent: int) -> Callable[[], None]:
+def _end_with(parent: int, nice: int) -> Callable[[], None]:
     """For the child, between fork and exec: SIGTERM when the parent's main thread is gone."""
 
     def prepare() -> None:
+        os.nice(nice)
         _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
         if os.getppid() != parent:  # it ended before prctl could tell
             os._exit(1)

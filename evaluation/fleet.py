@@ -23,6 +23,7 @@ from protocol.keys import Keys
 from protocol.transport import Link, SessionSettings, free_port, open_session, wait_until
 
 FIRST_SAMPLE_S = 20.0
+HELD_RATE_HZ = 0.5  # a robot that stands still sends every other second
 STARTED_WITHIN_S = 120.0
 
 
@@ -34,6 +35,7 @@ class RobotPlan:
     camera: str
     data: str
     options: tuple[str, ...] = ()
+    rate_hz: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -206,7 +208,8 @@ def start(
     skip = () if skip_pairs is None else ("--skip-pairs", str(skip_pairs))
     fleet.start_server("--workers", str(workers), *skip, state=state)
     for robot in plan.robots:
-        fleet.start_robot(robot.name, robot.camera, robot.data, "--rate", "1", *robot.options)
+        rate = ("--rate", str(robot.rate_hz))
+        fleet.start_robot(robot.name, robot.camera, robot.data, *rate, *robot.options)
 
 
 def open_link(fleet: LocalFleet) -> Link:
@@ -279,7 +282,8 @@ def _doing(observer: Observer, plan: FleetPlan) -> str:
 
 
 def _replaying(name: str, folder: StrippedFolder, replay: tuple[str, ...]) -> RobotPlan:
-    return RobotPlan(name, folder.camera, str(folder.path), replay)
+    rate_hz = HELD_RATE_HZ if "hold" in replay else 1.0
+    return RobotPlan(name, folder.camera, str(folder.path), replay, rate_hz)
 
 
 def distinct_names(count: int, rng: random.Random) -> list[str]:

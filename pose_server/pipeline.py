@@ -63,9 +63,13 @@ def next_job(site: Site, now_s: float) -> Job | None:
     if (job := _click_job(site)) is not None:
         return job
     site.pair_is_due = not site.pair_is_due
-    if site.pair_is_due:
-        return _pair_job(site, now_s) or _track_job(site)
-    return _track_job(site) or _pair_job(site, now_s)
+    joining = _pair_job(site, now_s, joining=True) if site.pair_is_due else None
+    return (
+        joining
+        or _track_job(site)
+        or _pair_job(site, now_s, joining=True)
+        or _pair_job(site, now_s, joining=False)
+    )
 
 
 def take_result(site: Site, done: Done, now_s: float) -> None:
@@ -295,14 +299,18 @@ def _drop_keyframe(site: Site, robot: Robot) -> None:
         }
 
 
-def _pair_job(site: Site, now_s: float) -> Job | None:
-    pair = site.turn.pick(weights(site, now_s))
+def _pair_job(site: Site, now_s: float, joining: bool) -> Job | None:
+    pair = site.turn.pick(weights(site, now_s, joining))
     if pair is None:
         return None
     record = site.pairs[pair]
-    views = max(record.untried, key=lambda v: record.untried[v])
+    fitting = [views for views in record.untried if site.joined(*views) != joining]
+    views = max(fitting, key=lambda v: record.untried[v])
     record.untried.pop(views)
     record.running = True
+    waited_s = now_s - (record.waiting_since_s or now_s)
+    record.waiting_since_s = None
+    site.max_wait_s = max(site.max_wait_s, waited_s)
     i, j = views
     return Job("pair", site.views[i].encoded, site.views[j].encoded, _known_starts(site, i, j))
 
@@ -319,8 +327,6 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
     record.running = False
     record.alignments += 1
     site.count("alignments")
-    wait = now_s - max(record.last_s, record.since_s)
-    site.counts["max_wait_ms"] = max(site.counts.get("max_wait_ms", 0), int(1e3 * max(wait, 0.0)))
     record.last_s = now_s
     if done.result is None:
         site.say(f"alignment of {i} and {j} failed: {done.error}")

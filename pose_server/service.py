@@ -265,7 +265,7 @@ class Service:
             workers=self._engine.workers,
             pairs_per_s=counts.get("alignments", 0) / max(uptime, 1e-3),
             other_cpu_ms_per_view=1e3 * (used.ru_utime + used.ru_stime) / max(views, 1),
-            max_pair_wait_s=counts.get("max_wait_ms", 0) / 1e3,
+            max_pair_wait_s=self.site.max_wait_s,
             drops={
                 **self._inbox.drops,
                 "newer_view": self._clouds.replaced + counts.get("views_overtaken", 0),

@@ -67,6 +67,7 @@ class PairRecord:
         tried: keyframe pairs aligned, and by which kinds of starts.
         clicks_due: the operator's set changed and was not aligned since.
         last: the newest alignment, its views and when it ended.
+        waiting_since_s: since when it has something to try and was not picked.
     """
 
     untried: dict[ViewPair, float] = field(default_factory=dict)
@@ -79,7 +80,7 @@ class PairRecord:
     best: PairResult | None = None
     best_views: ViewPair | None = None
     alignments: int = 0
-    since_s: float = 0.0
+    waiting_since_s: float | None = None
 
 
 @dataclass
@@ -98,6 +99,7 @@ class Site:
     gauge_revision: int = 0
     turn: RoundRobin[RobotPair] = field(default_factory=RoundRobin[RobotPair])
     dirty: bool = False
+    max_wait_s: float = 0.0
     pair_is_due: bool = False
     events: list[str] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)

@@ -116,5 +116,3 @@ def rectangle(centre: Floats, size: tuple[float, float], azimuth_deg: float) -> 
 def polar(radius: float, azimuth_deg: float) -> Floats:
     """A place on the ground."""
     return radius * np.array((np.cos(np.radians(azimuth_deg)), np.sin(np.radians(azimuth_deg))))
-
-

@@ -57,20 +57,25 @@ def candidate_views(site: "Site", robot: "Robot", view: ViewName) -> list[ViewNa
     return sorted(known, key=lambda keyframe: -likeness(new, site.views[keyframe]))
 
 
-def weights(site: "Site", now_s: float) -> dict[tuple[str, str], float]:
-    """Weight of every pair of robots that has something left to try."""
+def weights(site: "Site", now_s: float, joining: bool) -> dict[tuple[str, str], float]:
+    """Weight of every pair of robots that has something left to try.
+
+    Args:
+        joining: only pairs that may join two components; else only those already joined.
+    """
     found: dict[tuple[str, str], float] = {}
     edges = _edge_counts(site)
     for pair, record in site.pairs.items():
         if record.running or not record.untried or pair in site.skip:
             continue
         _forget_hopeless(site, pair, record, edges.get(pair, 0))
-        if not record.untried:
+        left = [like for v, like in record.untried.items() if site.joined(*v) != joining]
+        if not left:
             continue
-        joined = all(site.joined(*views) for views in record.untried)
-        waited = now_s - max(record.last_s, record.since_s)
-        like = max(record.untried.values())
-        weight = pair_weight(waited, like, joined, edges.get(pair, 0))
+        if record.waiting_since_s is None:
+            record.waiting_since_s = now_s
+        waited = now_s - record.waiting_since_s
+        weight = pair_weight(waited, max(left), not joining, edges.get(pair, 0))
         found[pair] = 0.3 * weight if pair[0] == pair[1] else weight
     return found
 

@@ -23,7 +23,7 @@ from protocol.messages import View, ViewName
 
 MAX_TRIES = 2
 TRACK_POINTS = 700  # salient points used to follow a robot through its own views
-_CACHED_VIEWS = 64
+_CACHED_VIEWS = 32
 _PR_SET_PDEATHSIG, _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = 1, -1, -3
 Purpose = Literal["clicks", "track", "pair"]
 

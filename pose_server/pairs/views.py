@@ -20,7 +20,7 @@ from protocol.messages import NoiseModel, View, ViewName
 Floats = npt.NDArray[np.floating]
 
 DENSE_POINTS = 10_000  # from here on a cloud is dense enough for ICP
-_CLOUD_POINTS = 40_000  # of a dense cloud, used for its surface and for ICP
+_CLOUD_POINTS = 20_000  # of a dense cloud, used for its surface and for ICP
 _SAMPLE_POINTS = 1_000
 _ICP_PIXELS = 8.0  # lateral resolution of ICP, in pixels at the median depth
 
