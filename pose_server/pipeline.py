@@ -46,7 +46,7 @@ def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
     outcomes = site.book.apply(
         update,
         keeps=site.views.__contains__,
-        lift=lambda view, pixel: lift_click(site.views[view], pixel),
+        lift=lambda view, pixel: lift_click(site.views[view], np.asarray(pixel, np.float64)),
         encoded=lambda view: site.views[view].payload,
     )
     for outcome in outcomes:
@@ -104,6 +104,7 @@ def solve(site: Site) -> None:
     )
     site.dirty = False
     site.count("solves")
+    _choose_anchor(site)
 
 
 def judge_correspondences(site: Site) -> list[RobotPair]:
@@ -153,19 +154,22 @@ def _settings(site: Site, nodes: Sequence[ViewName]) -> SolveSettings:
 
 
 def _gauge(site: Site, nodes: Sequence[ViewName]) -> ViewName | None:
-    """The anchor's first keyframe. The anchor is the first robot by name that joined others, and
-    stays it.
-    """
-    if site.anchor is None:
-        joined = {edge.a.robot for edge in site.edges.values() if edge.a.robot != edge.b.robot}
-        joined |= {edge.b.robot for edge in site.edges.values() if edge.a.robot != edge.b.robot}
-        if not joined:
-            return None
-        site.anchor = min(joined)
-        site.say(f"{site.anchor} is the anchor: the fleet's origin")
+    """The anchor's first keyframe; it stays the origin as long as it is kept."""
     if site.gauge in nodes and site.gauge is not None and site.gauge.robot == site.anchor:
         return site.gauge
     return next((node for node in nodes if node.robot == site.anchor), None)
+
+
+def _choose_anchor(site: Site) -> None:
+    """The first robot by name of the largest component of two or more; once chosen it stays."""
+    if site.anchor is not None or site.solution is None:
+        return
+    fleets = [{view.robot for view in views} for views in site.solution.components.values()]
+    largest = max(fleets, key=len)
+    if len(largest) > 1:
+        site.anchor = min(largest)
+        site.dirty = True
+        site.say(f"{site.anchor} is the anchor: the fleet's origin")
 
 
 def _click_job(site: Site) -> Job | None:
@@ -194,15 +198,22 @@ def _track_job(site: Site) -> Job | None:
     waiting = [robot for robot in site.robots.values() if robot.waiting and robot.tracking is None]
     if not waiting:
         return None
-    robot = min(waiting, key=lambda r: site.views[r.waiting].received_s if r.waiting else 0.0)
+    robot = min(waiting, key=lambda r: _followed_s(site, r))
     view, robot.waiting = robot.waiting, None
     assert view is not None
     return _follow(site, robot, view)
 
 
+def _followed_s(site: Site, robot: Robot) -> float:
+    """When the newest view that hangs somewhere was received: who lags most is next."""
+    newest = robot.track.newest
+    kept = None if newest is None else site.views.get(newest.view)
+    return -np.inf if kept is None else kept.received_s
+
+
 def _follow(site: Site, robot: Robot, view: ViewName) -> Job | None:
     """The next try to hang a view on one of its robot's keyframes."""
-    keyframe = robot.track.next_try(view, candidate_views(site, robot, view))
+    keyframe = robot.track.next_try(view, lambda: candidate_views(site, robot, view))
     if keyframe is None or keyframe not in site.views:
         robot.tracking = None
         if robot.track.give_up(view) == "segment":
@@ -245,7 +256,9 @@ def _followed(site: Site, done: Done) -> None:
         robot.waiting = view
     elif step == "try":
         site.count("views_overtaken")
-    site.dirty |= step == "attached"
+    if step == "attached" and site.solution is not None:
+        node = site.solution.nodes.get(robot.track.attached[view].keyframe)
+        site.dirty |= node is None or node.covariance is None
 
 
 def _nearer_keyframe(

@@ -33,7 +33,7 @@ log = logging.getLogger("pose_server")
 _TICK_S = 0.05
 _PRUNE_S = 2.0
 _STATUS_S = 1.0
-_SOLVE_SHARE = 0.4  # of the server's own thread that solving may take
+_SOLVE_SHARE = 0.25  # of the server's own thread that solving may take
 
 
 class Service:

@@ -92,14 +92,16 @@ def open_view(payload: bytes, encoding: str | None, now_s: float) -> KeptView:
 
 
 def likeness(a: KeptView, b: KeptView) -> float:
-    """A cheap guess, 0 to 1, of how much two views show the same: clear matches among the strongest
+    """A cheap guess, 0 to 1, of how much two views show the same: clear matches of the strongest
     points.
     """
     return float(min(1.0, len(_clear_matches(a, b)) / 40.0))
 
 
 def stands_still(a: KeptView, b: KeptView) -> bool:
-    """Whether a robot did not move between two of its views: its strongest points kept their pixels."""
+    """Whether a robot did not move between two of its views: its strongest points kept their
+    pixels.
+    """
     matches = _clear_matches(a, b)
     if a.camera.width != b.camera.width or len(matches) < _STILL_MATCHES:
         return False

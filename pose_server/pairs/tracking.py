@@ -6,6 +6,7 @@ another keyframe if the robot came back to it, and becomes a keyframe otherwise.
 with nothing starts a new segment.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -77,14 +78,18 @@ class Track:
         C = np.diag([sigma_rad**2] * 3 + [sigma_m**2] * 3)
         self._hang(Attached(view, keyframe, np.eye(4), C, "verified"))
 
-    def next_try(self, view: ViewName, likely: list[ViewName]) -> ViewName | None:
+    def next_try(self, view: ViewName, likely: Callable[[], list[ViewName]]) -> ViewName | None:
         """The keyframe to align a view with next: the reference, then the likeliest others; None to
         give up.
         """
         tried = self._tried.setdefault(view, [])
-        order = ([self.reference] if self.reference else []) + likely
+        if self.reference in self.keyframes and self.reference not in tried:
+            tried.append(self.reference)
+            return self.reference
         left = [
-            keyframe for keyframe in order if keyframe in self.keyframes and keyframe not in tried
+            keyframe
+            for keyframe in likely()
+            if keyframe in self.keyframes and keyframe not in tried
         ]
         if not left or len(tried) >= _TRIES:
             return None
