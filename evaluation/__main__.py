@@ -92,6 +92,23 @@ def demo(
     raise typer.Exit(run(robots, seconds, without_screen(headless)))
 
 
+@app.command()
+def world(
+    listen: Annotated[str, typer.Option(help="Address, host:port.")] = "127.0.0.1:7500",
+    robots: Annotated[int, typer.Option(min=1, help="How many.")] = 6,
+    seed: Annotated[int, typer.Option(help="Of textures and noise.")] = 0,
+    separation: Annotated[
+        float | None, typer.Option(help="Degrees between neighbours; else at most 45, varying.")
+    ] = None,
+    moving: Annotated[bool, typer.Option("--moving", help="The robots walk slowly.")] = False,
+    truth_file: Annotated[Path | None, typer.Option(help="Where true poses are written.")] = None,
+) -> None:
+    """Serve a synthetic world, for robots with `--camera synthetic --data host:port/r1`."""
+    from evaluation.world_server import main as serve
+
+    serve(robots, listen, seed, separation, moving, truth_file)
+
+
 def main() -> None:
     """Runs the command; errors that a user can mend are one sentence and exit code 2."""
     from protocol.errors import FleetPoseError

@@ -23,11 +23,13 @@ from evaluation.fleet_scoring import SampleRow, score_sample
 from evaluation.observer import Observer, first_time_located
 from evaluation.operator import SimulatedOperator
 from evaluation.report import print_table
+from evaluation.truth import WorldTruth
 from protocol.errors import FleetPoseError
 from protocol.keys import Keys
 
 CLICKS_PER_MINUTE = 60.0
 SETTLE_S = 5.0  # after all are located, so that the last alignments count
+CLOSING_S = 6.0  # kept of the time for ending all processes
 MAX_ERROR_SHARE = 0.01
 """The demo fails where the mean position error is above this share of the ring's radius."""
 
@@ -69,6 +71,7 @@ def run(robots: int, seconds: float, headless: bool) -> int:
     """Runs the demo; returns the exit code."""
     if robots < 2:
         raise FleetPoseError(f"--robots {robots}: a fleet has at least 2")
+    began_s = time.monotonic()
     logs = Path(tempfile.mkdtemp(prefix="fleetpose-demo-"))
     plan = plan_world([f"r{k + 1}" for k in range(robots)], logs, moving=False, seed=0)
     print(f"{robots} robots, a world, a server and a router; logs in {logs}", flush=True)
@@ -76,7 +79,7 @@ def run(robots: int, seconds: float, headless: bool) -> int:
         start(fleet, plan, workers=max(1, min(4, os.cpu_count() or 1)), state=logs / "state")
         if not headless:
             return _on_screen(fleet)
-        result = _unattended(fleet, plan, seconds)
+        result = _unattended(fleet, plan, began_s + seconds - CLOSING_S)
     return report(result, fleet.leftover_processes())
 
 
@@ -92,9 +95,8 @@ def _on_screen(fleet: LocalFleet) -> int:
     return subprocess.call(command)
 
 
-def _unattended(fleet: LocalFleet, plan: FleetPlan, seconds: float) -> DemoResult:
+def _unattended(fleet: LocalFleet, plan: FleetPlan, deadline_s: float) -> DemoResult:
     """Waits until all robots are located; a simulated operator answers what is asked."""
-    deadline_s = time.monotonic() + seconds
     link = open_link(fleet)
     keys = Keys(fleet.site)
     observer = Observer(link, keys)
@@ -105,19 +107,34 @@ def _unattended(fleet: LocalFleet, plan: FleetPlan, seconds: float) -> DemoResul
         up_s = wait_started(fleet, observer, len(plan.robots))
         print("all processes are up", flush=True)
         operator.start()
-        located = _watch_located(fleet, observer, len(plan.robots), deadline_s)
-        if located:
+        if _watch_located(fleet, observer, len(plan.robots), deadline_s):
             wait_running(fleet, lambda: False, min(SETTLE_S, deadline_s - time.monotonic()))
+        rows = _last_sample(fleet, observer, plan, deadline_s)
         if operator.clicks:
             print(f"the simulated operator clicked {operator.clicks} times")
-        anchor = None if observer.state is None else observer.state.anchor
-        rows = score_sample(0.0, plan.names, poses_now(observer, plan.truth), anchor)
         all_located_s = first_time_located(observer.located_counts, len(plan.robots), up_s)
     finally:
         operator.close()
         observer.close()
         link.close()
+    assert isinstance(plan.truth, WorldTruth)
     return DemoResult(rows, len(plan.robots), plan.truth.radius_m(), all_located_s)
+
+
+def _last_sample(
+    fleet: LocalFleet, observer: Observer, plan: FleetPlan, deadline_s: float
+) -> list[SampleRow]:
+    """The first moment at which all poses are fresh and located, else the last before the end."""
+    rows: list[SampleRow] = []
+
+    def all_located() -> bool:
+        nonlocal rows
+        anchor = None if observer.state is None else observer.state.anchor
+        rows = score_sample(0.0, plan.names, poses_now(observer, plan.truth), anchor)
+        return all(row.located for row in rows)
+
+    wait_running(fleet, all_located, max(deadline_s - time.monotonic(), 0.0))
+    return rows
 
 
 def _watch_located(fleet: LocalFleet, observer: Observer, robots: int, deadline_s: float) -> bool:

@@ -23,6 +23,7 @@ from protocol.keys import Keys
 from protocol.transport import Link, SessionSettings, free_port, open_session, wait_until
 
 FIRST_SAMPLE_S = 20.0
+WORLD_START_S = 60.0
 HELD_RATE_HZ = 0.5  # a robot that stands still sends every other second
 STARTED_WITHIN_S = 120.0
 
@@ -116,7 +117,7 @@ def run(options: FleetOptions, out: Path) -> dict[str, Any]:
             operator=operator,
             memory=watch.memory,
             started_s=started_s,
-            median_depth_m=plan.truth.median_depth_m(),
+            median_depth_m=plan.truth.median_depth_m(observer.newest_views()),
             rgbd=plan.truth.rgbd,
             leftover_processes=fleet.leftover_processes(),
         )
@@ -150,7 +151,8 @@ def plan_world(names: Sequence[str], scratch: Path, moving: bool, seed: int) -> 
     world += ["--truth-file", str(truth_file), *(["--moving"] if moving else [])]
     places = {name: f"r{number + 1}" for number, name in enumerate(names)}
     robots = tuple(
-        RobotPlan(name, "synthetic", f"{listen}/{place}") for name, place in places.items()
+        RobotPlan(name, "synthetic", f"{listen}/{place}", rate_hz=1.0 if moving else HELD_RATE_HZ)
+        for name, place in places.items()
     )
     return FleetPlan(robots, WorldTruth(truth_file, places), tuple(world))
 
@@ -207,9 +209,27 @@ def start(
         fleet.start("world", "evaluation", *plan.world)
     skip = () if skip_pairs is None else ("--skip-pairs", str(skip_pairs))
     fleet.start_server("--workers", str(workers), *skip, state=state)
+    if isinstance(plan.truth, WorldTruth):
+        _wait_for_world(fleet, plan.truth)
     for robot in plan.robots:
         rate = ("--rate", str(robot.rate_hz))
         fleet.start_robot(robot.name, robot.camera, robot.data, *rate, *robot.options)
+
+
+def _wait_for_world(fleet: LocalFleet, truth: WorldTruth) -> None:
+    """A world paints its textures first; robots are started when it listens.
+
+    Raises:
+        ProcessEndedError: it ended.
+        FleetPoseError: it does not listen within a minute.
+    """
+
+    def ready() -> bool:
+        fleet.check()
+        return truth.is_there()
+
+    if not wait_until(ready, WORLD_START_S, poll_s=0.1):
+        raise FleetPoseError(f"the world does not start; its log ends:\n{fleet.tail('world')}")
 
 
 def open_link(fleet: LocalFleet) -> Link:

@@ -113,6 +113,11 @@ class Observer:
         with self._lock:
             return self._views.get(robot)
 
+    def newest_views(self) -> list[SeenView]:
+        """The newest view of each robot."""
+        with self._lock:
+            return list(self._views.values())
+
     def view(self, name: ViewName) -> SeenView | None:
         """A view by its name; all are kept, without their salient points."""
         with self._lock:

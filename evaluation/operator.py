@@ -180,7 +180,8 @@ class SimulatedOperator:
     def close(self) -> None:
         """Ends the thread."""
         self._stop.set()
-        self._thread.join()
+        if self._thread.is_alive():
+            self._thread.join()
 
     def in_flight(self) -> list[Sent]:
         """Clicks that have not led to a pose yet."""

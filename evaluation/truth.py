@@ -1,13 +1,20 @@
 """Where a live robot truly was when it saw a view, for recordings and for the synthetic world."""
 
+import json
+import threading
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
 
 from evaluation.datasets import Recording, TrueView, median_depth_m
 from evaluation.geometry import Floats, inverse
 from evaluation.observer import SeenView, digest_of
 from evaluation.operator import by_tracks, by_view_depth
 from evaluation.strip import StrippedFolder
+from protocol.clouds import points_of
 
 
 class Truth(Protocol):
@@ -18,8 +25,8 @@ class Truth(Protocol):
         """Whether the limits of RGB-D recordings count."""
         ...
 
-    def median_depth_m(self) -> float:
-        """Median z over all views' clouds."""
+    def median_depth_m(self, seen: Iterable[SeenView]) -> float:
+        """Median z over all views' clouds: the recording's, else those seen."""
         ...
 
     def T_world_robot(self, seen: SeenView) -> Floats | None:
@@ -56,7 +63,8 @@ class RecordedTruth:
     def rgbd(self) -> bool:
         return self._recording.is_rgbd
 
-    def median_depth_m(self) -> float:
+    def median_depth_m(self, seen: Iterable[SeenView]) -> float:
+        del seen
         return median_depth_m(self._recording)
 
     def T_world_robot(self, seen: SeenView) -> Floats | None:
@@ -88,13 +96,72 @@ def _digests(folder: StrippedFolder) -> list[str]:
 
 
 def _nothing() -> tuple[Floats, Floats]:
-    import numpy as np
-
     return np.zeros((0, 2)), np.zeros((0, 2))
 
 
 class WorldTruth:
-    """provisional"""
+    """Truth of robots in the synthetic world, from the file that its process writes.
 
-    def __init__(self, truth_file, places):
-        self.rgbd = False
+    Args:
+        truth_file: written by `evaluation.world_server`.
+        places: the place in the world (r1, r2, ...) of each robot.
+    """
+
+    def __init__(self, truth_file: Path, places: Mapping[str, str]) -> None:
+        self._file = truth_file
+        self._log = Path(f"{truth_file}.log.jsonl")
+        self._places = dict(places)
+        self._moments: dict[tuple[str, int], Floats] = {}
+        self._read_bytes = 0
+        self._reading = threading.Lock()  # the operator asks from a thread of its own
+
+    @property
+    def rgbd(self) -> bool:
+        return False
+
+    def is_there(self) -> bool:
+        """Whether the world is up: it writes the file once it listens."""
+        return self._file.exists()
+
+    def radius_m(self) -> float:
+        """Radius of the ring."""
+        return float(self._content()["radius_m"])
+
+    def median_depth_m(self, seen: Iterable[SeenView]) -> float:
+        depths = [points_of(one.view).xyz[:, 2] for one in seen]
+        return float(np.median(np.concatenate(depths))) if depths else float("nan")
+
+    def T_world_robot(self, seen: SeenView) -> Floats | None:
+        place = self._places.get(seen.view.name.robot)
+        if place is None:
+            return None
+        if self._log.exists():
+            with self._reading:
+                self._read_log()
+            return self._moments.get((place, seen.view.stamp_ns))
+        return np.array(self._content()["T_world_robots"][place])
+
+    def correspondences(self, i: SeenView, j: SeenView) -> tuple[Floats, Floats]:
+        T_world_i, T_world_j = self.T_world_robot(i), self.T_world_robot(j)
+        if T_world_i is None or T_world_j is None:
+            return _nothing()
+        T_world_cameras = (
+            T_world_i @ i.view.camera.T_robot_camera,
+            T_world_j @ j.view.camera.T_robot_camera,
+        )
+        return by_view_depth(i.view, j.view, inverse(T_world_cameras[0]) @ T_world_cameras[1])
+
+    def _content(self) -> dict[str, Any]:
+        return json.loads(self._file.read_text())
+
+    def _read_log(self) -> None:
+        """Takes in the lines that were written since the last time."""
+        with self._log.open("rb") as log:
+            log.seek(self._read_bytes)
+            for line in log:
+                if not line.endswith(b"\n"):
+                    break
+                self._read_bytes += len(line)
+                entry = json.loads(line)
+                moment = (entry["robot"], entry["stamp_ns"])
+                self._moments[moment] = np.array(entry["T_world_robot"])

@@ -21,8 +21,17 @@ def questions(site: Site) -> tuple[Question, ...]:
         return ()
     depth_m = float(np.median([site.views[view].median_depth_m for view in newest.values()]))
     names = list(newest)
-    facts = [_facts(site, a, b) for k, a in enumerate(names) for b in names[k + 1 :]]
+    pairs = [(a, b) for k, a in enumerate(names) for b in names[k + 1 :]]
+    facts = [_facts(site, a, b) for a, b in pairs if _is_up_to_the_operator(site, a, b)]
     return tuple(rank_questions(site.solution, newest, facts, depth_m, site.anchor))
+
+
+def _is_up_to_the_operator(site: Site, a: str, b: str) -> bool:
+    """Nobody is asked what the machine may still find out by itself."""
+    if (a, b) in site.skip:
+        return True
+    record = site.pairs.get((a, b))
+    return record is not None and bool(record.tried) and not record.untried and not record.running
 
 
 def _facts(site: Site, a: str, b: str) -> PairFacts:

@@ -2,7 +2,7 @@
 made or read.
 """
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -50,11 +50,18 @@ def _check_rigid(value: Any) -> npt.NDArray[np.float64]:
     return T
 
 
-Pose = Annotated[
-    np.ndarray, BeforeValidator(_check_rigid), PlainSerializer(lambda a: a, return_type=Any)
-]
-"""(4, 4) float64 rigid motion `T_a_b`, metres: maps points of frame b to frame a."""
-Vector3 = array_type("f8", 3)
-Matrix3 = array_type("f8", 3, 3)
-Matrix6 = array_type("f8", 6, 6)
-Pixel = array_type("f8", 2)
+if TYPE_CHECKING:  # to a type checker they are plain arrays
+    Pose: TypeAlias = npt.NDArray[Any]
+    Vector3: TypeAlias = npt.NDArray[Any]
+    Matrix3: TypeAlias = npt.NDArray[Any]
+    Matrix6: TypeAlias = npt.NDArray[Any]
+    Pixel: TypeAlias = npt.NDArray[Any]
+else:
+    Pose = Annotated[
+        np.ndarray, BeforeValidator(_check_rigid), PlainSerializer(lambda a: a, return_type=Any)
+    ]
+    """(4, 4) float64 rigid motion `T_a_b`, metres: maps points of frame b to frame a."""
+    Vector3 = array_type("f8", 3)
+    Matrix3 = array_type("f8", 3, 3)
+    Matrix6 = array_type("f8", 6, 6)
+    Pixel = array_type("f8", 2)

@@ -4,7 +4,7 @@ Any bytes become either a valid message or one `CodecError`. Sizes are bounded b
 decompression.
 """
 
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import msgpack
 import numpy as np
@@ -29,7 +29,7 @@ def encoding_of(message_type: type[Message]) -> str:
 
 def pack(message: Message) -> bytes:
     """Encodes a message of `protocol.messages`."""
-    return msgpack.packb(message.model_dump(), default=_pack_array, use_bin_type=True)
+    return cast(bytes, msgpack.packb(message.model_dump(), default=_pack_array, use_bin_type=True))
 
 
 def unpack(message_type: type[M], payload: bytes, encoding: str | None = None) -> M:
@@ -72,7 +72,7 @@ def _pack_array(value: Any) -> msgpack.ExtType:
     if not isinstance(value, np.ndarray) or value.dtype.hasobject:
         raise TypeError(f"{type(value).__name__} does not go on the wire")
     little = np.ascontiguousarray(value, dtype=value.dtype.newbyteorder("<"))
-    header = msgpack.packb((little.dtype.str, list(value.shape)))
+    header = cast(bytes, msgpack.packb((little.dtype.str, list(value.shape))))
     return msgpack.ExtType(_ARRAY, header + little.tobytes())
 
 

@@ -37,7 +37,7 @@ class ViewName(Message, frozen=True):
         return f"{self.robot}/{self.epoch}/{self.seq}"
 
 
-class NoiseModel(Message):
+class NoiseModel(Message, frozen=True):
     """How well a camera measures points: every point's covariance is long along its ray and thin
     across.
     """
@@ -64,7 +64,7 @@ class NoiseModel(Message):
         )
 
 
-class Camera(Message):
+class Camera(Message, frozen=True):
     """`robot/<id>/camera`, latched, and inside every view, so that a view can be read alone."""
 
     schema_name: ClassVar[str] = "fleet.camera.v1"
@@ -83,7 +83,7 @@ class Camera(Message):
         return self
 
 
-class CameraAnnouncement(Message):
+class CameraAnnouncement(Message, frozen=True):
     """What is latched under `robot/<id>/camera`."""
 
     schema_name: ClassVar[str] = "fleet.camera_announcement.v1"
@@ -94,7 +94,7 @@ class CameraAnnouncement(Message):
     capabilities: tuple[Name, ...] = ()
 
 
-class DepthCloud(Message):
+class DepthCloud(Message, frozen=True):
     """An organised cloud: a depth or disparity image, lossless to `step`. Coded in
     `protocol.clouds`.
     """
@@ -122,7 +122,7 @@ class DepthCloud(Message):
         return self
 
 
-class ScatteredCloud(Message):
+class ScatteredCloud(Message, frozen=True):
     """Points with their pixels, for clouds without a grid. Coded in `protocol.clouds`."""
 
     schema_name: ClassVar[str] = "fleet.scattered_cloud.v1"
@@ -133,7 +133,7 @@ class ScatteredCloud(Message):
     data: bytes
 
 
-class Salient(Message):
+class Salient(Message, frozen=True):
     """Salient points of a view with descriptors, strongest first. Coded in `protocol.clouds`."""
 
     schema_name: ClassVar[str] = "fleet.salient.v1"
@@ -143,7 +143,7 @@ class Salient(Message):
     data: bytes
 
 
-class View(Message):
+class View(Message, frozen=True):
     """`robot/<id>/cloud`: what a robot saw at one moment, without the image."""
 
     schema_name: ClassVar[str] = "fleet.view.v1"
@@ -157,7 +157,7 @@ class View(Message):
     has_image: bool = True
 
 
-class ImageHeader(Message):
+class ImageHeader(Message, frozen=True):
     """Travels as the attachment of a JPEG under `robot/<id>/image`."""
 
     schema_name: ClassVar[str] = "fleet.image_header.v1"
@@ -168,7 +168,7 @@ class ImageHeader(Message):
     )
 
 
-class KeptView(Message):
+class KeptView(Message, frozen=True):
     """Reply of `robot/<id>/view?seq=12` : a view kept by its robot, or journalled by the server."""
 
     schema_name: ClassVar[str] = "fleet.kept_view.v1"
@@ -177,7 +177,7 @@ class KeptView(Message):
     image: ImageHeader | None = None
 
 
-class Odometry(Message):
+class Odometry(Message, frozen=True):
     """`robot/<id>/odometry`: absolute in the robot's own odometry frame."""
 
     schema_name: ClassVar[str] = "fleet.odometry.v1"
@@ -188,7 +188,7 @@ class Odometry(Message):
     covariance: Matrix6
 
 
-class PairError(Message):
+class PairError(Message, frozen=True):
     """One of a robot's pairs, as its pose message tells it."""
 
     schema_name: ClassVar[str] = "fleet.pair_error.v1"
@@ -197,7 +197,7 @@ class PairError(Message):
     verdict: Verdict
 
 
-class RobotPose(Message):
+class RobotPose(Message, frozen=True):
     """`pose/<id>`: where a robot is in the fleet frame."""
 
     schema_name: ClassVar[str] = "fleet.pose.v1"
@@ -222,7 +222,7 @@ class RobotPose(Message):
     n: Count = Field(description="counts up per robot and server epoch")
 
 
-class Alignment(Message):
+class Alignment(Message, frozen=True):
     """`pair/<i>/<j>/alignment`: the newest alignment of a pair, i < j."""
 
     schema_name: ClassVar[str] = "fleet.alignment.v1"
@@ -249,7 +249,7 @@ class Alignment(Message):
 CorrespondenceStatus = Literal["accepted", "outlier", "unused"]
 
 
-class Correspondence(Message):
+class Correspondence(Message, frozen=True):
     """One point clicked in two images."""
 
     schema_name: ClassVar[str] = "fleet.correspondence.v1"
@@ -265,7 +265,7 @@ class Correspondence(Message):
     revision: Count = 0
 
 
-class PairCorrespondences(Message):
+class PairCorrespondences(Message, frozen=True):
     """`pair/<i>/<j>/correspondences`: the authoritative set of a pair, i < j."""
 
     schema_name: ClassVar[str] = "fleet.pair_correspondences.v1"
@@ -276,7 +276,7 @@ class PairCorrespondences(Message):
     server_epoch: Epoch
 
 
-class OperatorUpdate(Message):
+class OperatorUpdate(Message, frozen=True):
     """`operator/<op>/correspondences`: one numbered change, repeated until a receipt covers it."""
 
     schema_name: ClassVar[str] = "fleet.operator_update.v1"
@@ -303,7 +303,7 @@ class OperatorUpdate(Message):
         return self
 
 
-class Rejection(Message):
+class Rejection(Message, frozen=True):
     """Why an update was not accepted; final like an acceptance."""
 
     schema_name: ClassVar[str] = "fleet.rejection.v1"
@@ -311,7 +311,7 @@ class Rejection(Message):
     reason: Text
 
 
-class Receipts(Message):
+class Receipts(Message, frozen=True):
     """`operator/<op>/receipts`: all updates of the session up to n are final and in the journal."""
 
     schema_name: ClassVar[str] = "fleet.receipts.v1"
@@ -322,7 +322,7 @@ class Receipts(Message):
     server_epoch: Epoch
 
 
-class Selection(Message):
+class Selection(Message, frozen=True):
     """`operator/<op>/selection`: the pair on the operator's screen; its frozen views are kept."""
 
     schema_name: ClassVar[str] = "fleet.selection.v1"
@@ -334,7 +334,7 @@ class Selection(Message):
     view_j: ViewName | None = None
 
 
-class PairCell(Message):
+class PairCell(Message, frozen=True):
     """One cell of the error matrix, i < j."""
 
     schema_name: ClassVar[str] = "fleet.pair_cell.v1"
@@ -350,7 +350,7 @@ class PairCell(Message):
     correspondences: Count = 0
 
 
-class Question(Message):
+class Question(Message, frozen=True):
     """What the operator is asked, best first."""
 
     schema_name: ClassVar[str] = "fleet.question.v1"
@@ -364,7 +364,7 @@ class Question(Message):
     )
 
 
-class RobotState(Message):
+class RobotState(Message, frozen=True):
     """One robot in the fleet's state."""
 
     schema_name: ClassVar[str] = "fleet.robot_state.v1"
@@ -376,7 +376,7 @@ class RobotState(Message):
     why_not: Text = Field(description="why it is not located; empty if it is")
 
 
-class FleetState(Message):
+class FleetState(Message, frozen=True):
     """`fleet/state`: everything a late client needs, at a steady rate."""
 
     schema_name: ClassVar[str] = "fleet.state.v1"
@@ -392,7 +392,7 @@ class FleetState(Message):
     events: tuple[Text, ...] = Field(description="the newest 20, oldest first")
 
 
-class ServerStatus(Message):
+class ServerStatus(Message, frozen=True):
     """`server/status`: load, queue and drops."""
 
     schema_name: ClassVar[str] = "fleet.status.v1"
@@ -410,7 +410,7 @@ class ServerStatus(Message):
     version: Text
 
 
-class RelativePose(Message):
+class RelativePose(Message, frozen=True):
     """Reply of `server/relative?from=a;to=b`."""
 
     schema_name: ClassVar[str] = "fleet.relative_pose.v1"

@@ -268,6 +268,12 @@ class Answer:
     error: str | None = None
 
 
+def parameters_of(text: str) -> dict[str, str]:
+    """The parameters of a selector, `a=b;c=d`."""
+    pairs = (part.partition("=") for part in text.split(";") if part)
+    return {name: value for name, _, value in pairs}
+
+
 class _Queries(threading.Thread):
     def __init__(self, key: str, answer: Callable[[dict[str, str]], Answer]) -> None:
         super().__init__(name=f"queries {key}", daemon=True)
@@ -290,8 +296,7 @@ class _Queries(threading.Thread):
     def run(self) -> None:
         for query in self._next():
             try:
-                parameters = dict(query.parameters)
-                answer = self._answer({str(k): str(v) for k, v in parameters.items()})
+                answer = self._answer(parameters_of(str(query.parameters)))
                 if answer.error is not None:
                     query.reply_err(answer.error.encode(), encoding=zenoh.Encoding.TEXT_PLAIN)
                 else:

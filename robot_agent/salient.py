@@ -21,7 +21,7 @@ BORDER_PX = 2
 
 
 def salient_points(
-    image: npt.NDArray[np.uint8], ranges: Ranges, model: Camera, max_points: int = 2000
+    image: npt.NDArray[np.uint8], ranges: Ranges, model: Camera, max_points: int = 1600
 ) -> SalientPoints:
     """Finds, describes and lifts salient points, strongest first.
 

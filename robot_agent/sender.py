@@ -39,7 +39,7 @@ class SenderSettings:
     """
 
     rate_hz: float = 1.0
-    max_salient: int = 2000
+    max_salient: int = 1600
     jpeg_quality: int = 85
     keep_views: int = 30
 

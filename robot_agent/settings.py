@@ -47,7 +47,7 @@ class RobotSettings(BaseSettings):
     view: str | None = Field(None, description="the one view to show; for posed views")
     replay: ReplayMode = "once"
     rate_hz: float = Field(1.0, gt=0, le=100)
-    max_salient: int = Field(2000, ge=10, le=20_000, description="salient points per view")
+    max_salient: int = Field(1600, ge=10, le=20_000, description="salient points per view")
     jpeg_quality: int = Field(85, ge=1, le=100)
     keep_views: int = Field(30, ge=1, le=1000, description="views that can still be asked for")
     takeover: bool = Field(False, description="start even if another agent has the name")

@@ -1,4 +1,6 @@
-"""A textured world whose truth is known to the last digit: scene, renderer, and robots in a ring."""
+"""A textured world whose truth is known to the last digit: scene, renderer, and robots in a
+ring.
+"""
 
 from evaluation.world.render import Renderer, Rendering
 from evaluation.world.ring import RingWorld, StereoShot, ring_rig

@@ -1,6 +1,7 @@
 """Walls, boxes, roofs: solids put together from textured and lit quads.
 
-World frame: z up, the ground at z = 0; metres. Outlines on the ground run counter-clockwise as seen from above.
+World frame: z up, the ground at z = 0; metres. Outlines on the ground run counter-clockwise as
+    seen from above.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,7 +46,9 @@ class Builder:
         self._add(top_left, right, down, paint, taper)
 
     def slab(self, centre: Floats, along: Floats, across: Floats, z: float, paint: Paint) -> None:
-        """A level surface seen from above; `along` and `across` are its half sizes, `across` left of `along`."""
+        """A level surface seen from above; `along` and `across` are its half sizes, `across`
+        left of `along`.
+        """
         corner = np.append(centre - along + across, z)
         self._add(corner, np.append(2 * along, 0.0), np.append(-2 * across, 0.0), paint, 0.0)
 
@@ -60,7 +63,9 @@ class Builder:
     def prism(
         self, outline: Floats, z: tuple[float, float], paint: Paint, top: Paint | None = None
     ) -> None:
-        """Walls over a convex outline (N, 2), counter-clockwise from above; four-sided ones may have a top."""
+        """Walls over a convex outline (N, 2), counter-clockwise from above; four-sided ones may
+        have a top.
+        """
         for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True):
             self.wall(a, b, z, paint)
         if top is not None:
@@ -94,9 +99,11 @@ class Builder:
 
 
 def regular(
-    sides: int, radius: float, centre: Sequence[float] = (0, 0), turn_deg: float = 0.0
+    sides: int, radius: float, centre: Sequence[float] | Floats = (0, 0), turn_deg: float = 0.0
 ) -> Floats:
-    """A regular outline (N, 2), counter-clockwise; `turn_deg` is the azimuth of its first corner."""
+    """A regular outline (N, 2), counter-clockwise; `turn_deg` is the azimuth of its first
+    corner.
+    """
     angle = np.radians(turn_deg) + np.arange(sides) * 2 * np.pi / sides
     return np.asarray(centre) + radius * np.column_stack((np.cos(angle), np.sin(angle)))
 
@@ -106,7 +113,9 @@ def _apothem(outline: Floats) -> float:
 
 
 def rectangle(centre: Floats, size: tuple[float, float], azimuth_deg: float) -> Floats:
-    """A rectangle (4, 2), counter-clockwise; its first side is the one at +x, turned to the azimuth."""
+    """A rectangle (4, 2), counter-clockwise; its first side is the one at +x, turned to the
+    azimuth.
+    """
     c, s = np.cos(np.radians(azimuth_deg)), np.sin(np.radians(azimuth_deg))
     x, y = size[0] / 2, size[1] / 2
     corners = np.array(((x, -y), (x, y), (-x, y), (-x, -y)))

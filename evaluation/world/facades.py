@@ -1,4 +1,5 @@
-"""Facades of the synthetic world: materials dressed with windows, doors, posters, graffiti, ivy and stains.
+"""Facades of the synthetic world: materials dressed with windows, doors, posters, graffiti, ivy and
+stains.
 
 Windows of one facade share their make, as real ones do, but not what stands behind the glass.
 """

@@ -1,7 +1,9 @@
-"""A renderer of textured quads: exact depth, perspective-correct textures, mip levels, a sky. numpy and OpenCV only.
+"""A renderer of textured quads: exact depth, perspective-correct textures, mip levels, a sky. numpy
+and OpenCV only.
 
-Along an image, u/z, v/z and 1/z of a plane are affine in the pixel. So a quad is five affine functions: its four edges and
-its inverse depth. The nearest quad of every sample is found first, colours are looked up once afterwards, from one atlas
+Along an image, u/z, v/z and 1/z of a plane are affine in the pixel. So a quad is five affine
+functions: its four edges and its inverse depth. The nearest quad of every sample is found first,
+    colours are looked up once afterwards, from one atlas
 that holds all textures at all levels.
 """
 
@@ -50,14 +52,18 @@ class Quad:
 
 
 class Rendering(NamedTuple):
-    """An image (H, W, 3) uint8 BGR and the exact depth (H, W) float32 at pixel centres, metres, nan in the sky."""
+    """An image (H, W, 3) uint8 BGR and the exact depth (H, W) float32 at pixel centres, metres,
+    nan in the sky.
+    """
 
     image: Image
     depth: Depth
 
 
 class _Placed(NamedTuple):
-    """Textures on one canvas: where each starts and how large it is, texels of level 0; where each level starts."""
+    """Textures on one canvas: where each starts and how large it is, texels of level 0; where
+    each level starts.
+    """
 
     canvas: Image
     starts: Floats
@@ -107,12 +113,16 @@ class Renderer:
         ids, inverse, maps = self._visible(T_world_camera, fine, fine_size)
         colours = self._shade(ids, inverse, maps, T_world_camera, fine)
         self._paint_sky(colours, ids < 0, T_world_camera, fine, samples)
-        return cv2.resize(colours, size, interpolation=cv2.INTER_AREA) if samples > 1 else colours
+        if samples == 1:
+            return colours
+        return np.asarray(cv2.resize(colours, size, interpolation=cv2.INTER_AREA), np.uint8)
 
     def _visible(
         self, T_world_camera: Floats, K: Floats, size: tuple[int, int]
     ) -> tuple[npt.NDArray[np.intp], Depth, Floats]:
-        """Which quad each pixel shows (-1: sky), its inverse depth, and per quad pixel -> (u/z, v/z, 1/z)."""
+        """Which quad each pixel shows (-1: sky), its inverse depth, and per quad pixel -> (u/z,
+        v/z, 1/z).
+        """
         R, centre = T_world_camera[:3, :3], T_world_camera[:3, 3]
         facing = ((centre - self._corners) * self._outward).sum(1) > 1e-6
         moved = self._M.copy()
@@ -164,9 +174,11 @@ class Renderer:
         return colours
 
     def _footprints(self, T_world_camera: Floats, K: Floats) -> Depth:
-        """Per quad: texels under a sample, over z^1.5; the geometric mean of both directions on a slanted wall.
+        """Per quad: texels under a sample, over z^1.5; the geometric mean of both directions on a
+        slanted wall.
 
-        Across it is t z / f; along it, that over the cosine of incidence, which is distance / z near the axis.
+        Across it is t z / f; along it, that over the cosine of incidence, which is distance / z
+        near the axis.
         """
         distance = np.abs(((T_world_camera[:3, 3] - self._corners) * self._outward).sum(1))
         return (self._texels_per_m / K[0, 0] / np.sqrt(np.maximum(distance, 1e-3))).astype(
@@ -197,18 +209,22 @@ class Renderer:
         np.copyto(colours[:height], sky, where=where[:height, :, None])
 
 
-def _levels(footprint: Depth) -> npt.NDArray[np.intp]:
+def _levels(footprint: npt.NDArray[np.floating]) -> npt.NDArray[np.intp]:
     """Mip level for so many texels under a sample."""
     return np.clip(np.log2(footprint) + 0.4, 0, LEVELS - 1).astype(np.intp)
 
 
 def _offset(shift: float) -> Floats:
-    """Pixel centres are integers on both grids: moves the coarse grid's origin to that of the fine one."""
+    """Pixel centres are integers on both grids: moves the coarse grid's origin to that of the
+    fine one.
+    """
     return np.array([[1, 0, shift], [0, 1, shift], [0, 0, 1.0]])
 
 
 def _boxes(outlines: Floats, K: Floats, size: tuple[int, int]) -> npt.NDArray[np.int64]:
-    """Per outline (N, 4, 3) in the camera frame: left, top, right, bottom of what it may cover; empty if nothing."""
+    """Per outline (N, 4, 3) in the camera frame: left, top, right, bottom of what it may cover;
+    empty if nothing.
+    """
     boxes = np.zeros((len(outlines), 4), np.int64)
     front = outlines[:, :, 2] > _NEAR_M
     whole = front.all(1)
@@ -265,7 +281,9 @@ def _affine(abc: Floats, x: npt.NDArray[np.intp], y: npt.NDArray[np.intp]) -> De
 
 
 def _place(textures: Sequence[Image]) -> _Placed:
-    """Packs textures on shelves, each with a border of its own edge colours, and adds the coarser levels beside."""
+    """Packs textures on shelves, each with a border of its own edge colours, and adds the
+    coarser levels beside.
+    """
     sizes = np.array([(t.shape[1], t.shape[0]) for t in textures])
     cells = (sizes + 2 * _ALIGN + _ALIGN - 1) // _ALIGN * _ALIGN
     width = max(int(np.sqrt(cells.prod(1).sum()) / _ALIGN + 1) * _ALIGN, int(cells[:, 0].max()))

@@ -1,4 +1,6 @@
-"""Robots in a ring around the rotunda, each with a stereo rig; what they see, and where they truly are."""
+"""Robots in a ring around the rotunda, each with a stereo rig; what they see, and where they
+truly are.
+"""
 
 import itertools
 import threading
@@ -24,7 +26,8 @@ GREY_SIGMA = 1.5
 _GAIN_SIGMA_ROBOT = 0.04
 _GAIN_SIGMA_EYE = 0.01
 
-# A walk to and fro along the ring: at most 0.28 m/s at 10 m; neighbours in nearly the same phase keep their distance.
+# A walk to and fro along the ring: at most 0.28 m/s at 10 m; neighbours in nearly the same phase
+# keep their distance.
 _WALK_DEG = 6.0
 _WALK_PERIOD_S = 24.0
 _WALK_PHASE_STEP = 0.4
@@ -32,7 +35,9 @@ _WALK_PHASE_STEP = 0.4
 
 @dataclass(frozen=True)
 class StereoShot:
-    """What the two eyes of a robot see: (H, W, 3) uint8 BGR each, and the robot's true pose at that moment."""
+    """What the two eyes of a robot see: (H, W, 3) uint8 BGR each, and the robot's true pose at
+    that moment.
+    """
 
     left: Image
     right: Image
@@ -40,13 +45,15 @@ class StereoShot:
 
 
 class RingWorld:
-    """A town square and robots that look at its middle. Robots are called r1, r2, ... in ring order.
+    """A town square and robots that look at its middle. Robots are called r1, r2, ... in ring
+    order.
 
     Safe to use from several threads; the same arguments give the same world.
 
     Args:
         robots: how many.
-        separation_deg: between neighbours; without one they vary, at most 45 degrees. A ring that closes is evened out.
+        separation_deg: between neighbours; without one they vary, at most 45 degrees. A ring that
+            closes is evened out.
         radius_m: of the ring; the rotunda's walls are 3 m from the middle, other things up to 7 m.
         seed: of textures, headings and noise.
         moving: the robots walk slowly along the ring.
@@ -102,7 +109,9 @@ class RingWorld:
         )
 
     def T_world_robot(self, robot: str | int, t_s: float = 0.0) -> Floats:
-        """True pose of a robot's body (x forward, y left, z up, on the ground), t seconds after the start."""
+        """True pose of a robot's body (x forward, y left, z up, on the ground), t seconds after
+        the start.
+        """
         k = self.robot_index(robot)
         azimuth = self._azimuth_deg[k]
         if self.moving:
@@ -153,7 +162,9 @@ def ring_rig(radius_m: float) -> StereoRig:
 
 
 def ring_azimuths(robots: int, separation_deg: float | None) -> Floats:
-    """Azimuths (N,) in degrees, the first 0; the whole ring, evenly, where the separations would close it."""
+    """Azimuths (N,) in degrees, the first 0; the whole ring, evenly, where the separations would
+    close it.
+    """
     if separation_deg is None:
         separations = list(itertools.islice(itertools.cycle(_DEMO_SEPARATIONS_DEG), robots - 1))
         closes = robots * MAX_SEPARATION_DEG >= 360

@@ -1,7 +1,8 @@
-"""Materials of the synthetic world: bricks, stone, plaster, wood, tiles, paving, sky. Made, never loaded.
+"""Materials of the synthetic world: bricks, stone, plaster, wood, tiles, paving, sky. Made, never
+loaded.
 
-Every function takes a generator and a size in pixels and returns (H, W, 3) float32 BGR, 0 to 255. Lengths are in pixels.
-The same generator state gives the same texture to the last bit.
+Every function takes a generator and a size in pixels and returns (H, W, 3) float32 BGR, 0 to 255.
+Lengths are in pixels. The same generator state gives the same texture to the last bit.
 """
 
 from collections.abc import Sequence
@@ -19,7 +20,9 @@ Rng = np.random.Generator
 def noise(
     rng: Rng, height: int, width: int, cell: float, octaves: int = 4, keep: float = 0.6
 ) -> Field:
-    """Smooth noise (H, W) of zero mean and about unit sigma: octaves of random grids, the coarsest `cell` pixels wide."""
+    """Smooth noise (H, W) of zero mean and about unit sigma: octaves of random grids, the
+    coarsest `cell` pixels wide.
+    """
     octaves = min(octaves, max(1, 1 + int(np.log2(max(cell, 1.0)))))
     step, weight = cell, 1.0
     rows, columns = int(height / cell) + 3, int(width / cell) + 3
@@ -58,7 +61,9 @@ def masonry(
     joint_colour: Colour = (150, 155, 160),
     variation: float = 0.12,
 ) -> Texture:
-    """Courses of blocks (length, height) in running bond; each block has a colour and a wear of its own."""
+    """Courses of blocks (length, height) in running bond; each block has a colour and a wear of
+    its own.
+    """
     length, course = block
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     y = y + 0.6 * noise(rng, height, width, 60, 2)
@@ -135,7 +140,8 @@ def wood(rng: Rng, height: int, width: int, colour: Colour, plank: float = 18) -
         (width, height),
         interpolation=cv2.INTER_CUBIC,
     )
-    texture = modulated(plain(height, width, colour) * tone[index][None, :, None], grain, 0.13)
+    plank = plain(height, width, colour) * tone[index][None, :, None]
+    texture = modulated(plank, np.asarray(grain, np.float32), 0.13)
     texture = modulated(texture, noise(rng, height, width, 50, 4), 0.08)
     for u, v in rng.uniform((0, 0), (width, height), (height * width // 4000, 2)):
         cv2.ellipse(

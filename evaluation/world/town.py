@@ -1,6 +1,7 @@
 """The town square: a rotunda with annexes, stalls and columns around it, houses at the rim.
 
-The rotunda's axis is the world's z axis. Everything on the square stays within 5.5 m of it or beyond 12 m.
+The rotunda's axis is the world's z axis. Everything on the square stays within 5.5 m of it or
+beyond 12 m.
 """
 
 from collections.abc import Sequence
@@ -76,7 +77,7 @@ def _rotunda(b: Builder) -> None:
     hall, cornice = regular(8, 2.4, turn_deg=turn), regular(8, 2.6, turn_deg=turn)
     materials = ("stone", "brick", "render", "stone", "brick", "render", "stone", "render")
     for k, material in enumerate(materials):
-        style = Style(material, posters=0.6, graffiti=1.2, ivy=0.4, door=k % 2 == 0)
+        style = Style(material, posters=0.6, graffiti=1, ivy=0.4, door=k % 2 == 0)
         b.wall(hall[k], hall[(k + 1) % 8], (0.0, 3.2), _facade(style))
     b.shadows.append((hall, 3.2))
     b.prism(cornice, (3.2, 3.4), _bare("stone"))

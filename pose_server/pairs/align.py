@@ -37,7 +37,7 @@ RATIO = 0.9
 COVARIANCE_INFLATION = 4.0
 COVARIANCE_FLOOR = 3e-4
 _STRONG_INLIERS = 60
-_STRONG_SIGMA = 0.003  # raw, share of the depth
+_STRONG_SIGMA, _WEAK_SIGMA = 0.003, 0.006  # raw, share of the depth
 _ENOUGH_MATCHES = 300  # to find a pose; all are used to judge it
 _START_NOISE = NoiseScale(2.0, 1.5)
 _COMMON_NOISE = NoiseScale(1.5, 1.2)  # candidates are compared at the same noise
@@ -169,7 +169,7 @@ def align_pair(
     if result is None:
         return PairResult(None, None, "rejected", (_why_no_start(pair, starts),))
     judged = time.perf_counter()
-    if i.dense and j.dense and not _is_strong(result):
+    if i.dense and j.dense and _needs_icp(result):
         best = _best(candidates)
         dense = _with_icp(pair, best)
         result = result if dense is best else _judged(pair, dense)
@@ -179,6 +179,14 @@ def align_pair(
         "icp": 1e3 * (time.perf_counter() - judged),
     }
     return replace(result, timings_ms=timings)
+
+
+def _needs_icp(result: PairResult) -> bool:
+    """Whether the pose is about right, but the features leave it weak."""
+    e = result.evidence
+    if e is None or result.verdict == "rejected":
+        return False
+    return result.verdict != "verified" or e.position_sigma > _WEAK_SIGMA
 
 
 def _best(candidates: Sequence[_Candidate]) -> _Candidate:

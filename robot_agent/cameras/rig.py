@@ -210,7 +210,9 @@ def _array(value: Any) -> Floats:
 
 def _rotation(R: Floats) -> Floats:
     """A rotation given as a matrix or as a rotation vector."""
-    return cv2.Rodrigues(R.reshape(3, 1))[0] if R.size == 3 else R.reshape(3, 3)
+    if R.size != 3:
+        return R.reshape(3, 3)
+    return np.asarray(cv2.Rodrigues(R.reshape(3, 1))[0], np.float64)
 
 
 def _check_pinhole(name: str, K: Floats, size: tuple[int, int]) -> None:

@@ -104,13 +104,15 @@ class StereoMatcher:
         return found
 
     def _of_right(self, left: Image, right: Image) -> Disparity:
-        """Disparities of the right image, good to a pixel: matched at half size, at an eighth of the cost."""
+        """Disparities of the right image, good to a pixel: matched at half size, at an eighth of
+        the cost.
+        """
         height, width = left.shape
         half = width // 2, height // 2
         # the right image is the left one of the mirrored pair
         mirrored = self._half.match(
             *(
-                cv2.resize(image[:, ::-1], half, interpolation=cv2.INTER_AREA)
+                np.asarray(cv2.resize(image[:, ::-1], half, interpolation=cv2.INTER_AREA), np.uint8)
                 for image in (right, left)
             )
         )
@@ -172,7 +174,7 @@ class _Rectifier:
             rig.K_left, rig.D_left, rig.K_right, rig.D_right, rig.size, R, t,
             flags=cv2.CALIB_ZERO_DISPARITY, alpha=0,
         )[:4]  # fmt: skip
-        self.K = np.array(P_left[:, :3])
+        self.K = np.array(P_left[:, :3], np.float64)
         self.baseline_m = -float(P_right[0, 3] / P_right[0, 0])
         _check_rectified(self.K, self.baseline_m, rig)
         T_left_rectified = np.eye(4)
@@ -199,7 +201,9 @@ class _Rectifier:
 
 
 def _check_rectified(K: Floats, baseline_m: float, rig: StereoRig) -> None:
-    """Distortion or a rotation that cannot be leave hardly anything of the image, or turn it inside out."""
+    """Distortion or a rotation that cannot be leave hardly anything of the image, or turn it
+    inside out.
+    """
     zoom = K[0, 0] / rig.K_left[0, 0]
     if not np.isfinite(K).all() or baseline_m <= 0 or not 1 / 3 < zoom < 3:
         raise CalibrationError(
@@ -229,11 +233,11 @@ class _Sgbm:
 
     def match(self, left: Image, right: Image) -> Disparity:
         # the matcher gives nothing in its first columns, as many as its range: put some before
-        left, right = (
+        wider = [
             cv2.copyMakeBorder(image, 0, 0, self._range, 0, cv2.BORDER_REPLICATE)
             for image in (left, right)
-        )
-        raw = self._matcher.compute(left, right)[:, self._range :]
+        ]
+        raw = self._matcher.compute(*wider)[:, self._range :]
         disparity = raw.astype(np.float32)
         disparity /= _SUBPIXELS
         disparity[raw < 0] = np.nan
@@ -253,7 +257,8 @@ def _consistent(left: Disparity, right: Disparity) -> npt.NDArray[np.bool_]:
 def _slope(image: Image) -> npt.NDArray[np.float32]:
     """Mean change of grey along the row, per px, around each pixel."""
     change = cv2.convertScaleAbs(cv2.Sobel(image, cv2.CV_16S, 1, 0, ksize=3))
-    return cv2.blur(change, (_SLOPE_WINDOW, _SLOPE_WINDOW)).astype(np.float32) / 8
+    mean = cv2.blur(change, (_SLOPE_WINDOW, _SLOPE_WINDOW))
+    return np.asarray(mean, np.float32) / np.float32(8)
 
 
 def _grey(image: Image) -> Image:
