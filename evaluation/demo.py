@@ -92,7 +92,11 @@ def without_screen(headless: bool) -> bool:
 def _on_screen(fleet: LocalFleet) -> int:
     """The operator's screen in the foreground; the fleet ends with it."""
     command = [sys.executable, "-P", "-m", "hmi_client", "screen", *fleet.connection]
-    return subprocess.call(command)
+    with subprocess.Popen(command) as screen:
+        try:
+            return screen.wait()
+        finally:  # asked, not killed: it gives the terminal back as it was
+            screen.terminate()
 
 
 def _unattended(fleet: LocalFleet, plan: FleetPlan, deadline_s: float) -> DemoResult:

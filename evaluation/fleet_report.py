@@ -67,7 +67,11 @@ def write_results(out: Path, result: FleetResult) -> dict[str, Any]:
 
 
 def summarize(result: FleetResult) -> dict[str, Any]:
-    """The numbers of summary.json; null where nothing was there to be measured."""
+    """The numbers of summary.json; null where there was nothing to measure.
+
+    Without clicks `click_to_pose_ms_*` are null; `first_solution_s` and `all_located_s` are so if
+    that never came to pass, the errors if no robot was located.
+    """
     observer, operator, memory = result.observer, result.operator, result.memory
     robots, counts, since_s = len(result.robots), observer.located_counts, result.started_s
     clicks_ms = [] if operator is None else [1e3 * s for s in operator.click_to_pose_s]

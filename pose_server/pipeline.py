@@ -15,9 +15,10 @@ from pose_server.clicks import click_factors, clicks_between, judge
 from pose_server.correspondences.book import Outcome
 from pose_server.fleet.graph import solve_fleet
 from pose_server.fleet.types import Edge, SolveSettings
-from pose_server.pairs.align import PairResult, Start
+from pose_server.pairs.align import Start
 from pose_server.pairs.candidates import candidate_views, offer_keyframe, weights
 from pose_server.pairs.engine import Done, Job
+from pose_server.pairs.judging import PairResult
 from pose_server.pairs.tracking import Attached, accepted, moved
 from pose_server.site import Robot, RobotPair, Site, on_keyframes
 from pose_server.views import STILL_PX, KeptView, lift_click, stands_still

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.geometry.se3 import inverse
-from pose_server.pairs.align import PairResult
+from pose_server.pairs.judging import PairResult
 from pose_server.questions import questions
 from pose_server.settings import ServerSettings
 from pose_server.site import Robot, Site, body_pose, in_fleet, position_sigma

@@ -18,7 +18,7 @@ from pose_server.geometry.se3 import (
     make_pose,
     position_covariance,
 )
-from pose_server.pairs.align import PairResult
+from pose_server.pairs.judging import PairResult
 from pose_server.pairs.schedule import RoundRobin
 from pose_server.pairs.tracking import Attached, Track
 from pose_server.views import ViewStore

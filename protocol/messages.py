@@ -6,7 +6,7 @@ image. `T_a_b` maps points of frame b to frame a. Covariances are ordered rotati
 and belong to left perturbations, `exp(xi) T_a_b`.
 """
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -25,10 +25,9 @@ Text = Annotated[str, Field(max_length=2000)]
 Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
 
 
-class ViewName(Message, frozen=True):
+class ViewName(Message, frozen=True, schema="fleet.view_name.v1"):
     """One moment of one robot: image and cloud of it carry the same name."""
 
-    schema_name: ClassVar[str] = "fleet.view_name.v1"
     robot: Name
     epoch: Epoch
     seq: Count
@@ -37,12 +36,9 @@ class ViewName(Message, frozen=True):
         return f"{self.robot}/{self.epoch}/{self.seq}"
 
 
-class NoiseModel(Message, frozen=True):
-    """How well a camera measures points: every point's covariance is long along its ray and thin
-    across.
-    """
+class NoiseModel(Message, frozen=True, schema="fleet.noise_model.v1"):
+    """How well a camera measures points: covariances are long along the ray and thin across."""
 
-    schema_name: ClassVar[str] = "fleet.noise_model.v1"
     pixel_sigma_px: Positive = Field(description="sigma of a salient point in the image")
     depth_sigma_m: tuple[NonNegative, NonNegative, NonNegative] = Field(
         description="c0, c1, c2 of sigma(z) = c0 + c1 z + c2 z^2 along the ray, metres"
@@ -64,10 +60,9 @@ class NoiseModel(Message, frozen=True):
         )
 
 
-class Camera(Message, frozen=True):
+class Camera(Message, frozen=True, schema="fleet.camera.v1"):
     """`robot/<id>/camera`, latched, and inside every view, so that a view can be read alone."""
 
-    schema_name: ClassVar[str] = "fleet.camera.v1"
     width: Annotated[int, Field(gt=0, le=16384)]
     height: Annotated[int, Field(gt=0, le=16384)]
     K: Matrix3 = Field(description="pinhole intrinsics of the rectified full-resolution image, px")
@@ -83,10 +78,9 @@ class Camera(Message, frozen=True):
         return self
 
 
-class CameraAnnouncement(Message, frozen=True):
+class CameraAnnouncement(Message, frozen=True, schema="fleet.camera_announcement.v1"):
     """What is latched under `robot/<id>/camera`."""
 
-    schema_name: ClassVar[str] = "fleet.camera_announcement.v1"
     robot: Name
     epoch: Epoch
     camera: Camera
@@ -94,12 +88,9 @@ class CameraAnnouncement(Message, frozen=True):
     capabilities: tuple[Name, ...] = ()
 
 
-class DepthCloud(Message, frozen=True):
-    """An organised cloud: a depth or disparity image, lossless to `step`. Coded in
-    `protocol.clouds`.
-    """
+class DepthCloud(Message, frozen=True, schema="fleet.depth_cloud.v1"):
+    """An organised cloud: a depth or disparity image, lossless to `step`."""
 
-    schema_name: ClassVar[str] = "fleet.depth_cloud.v1"
     form: Literal["depth"] = "depth"
     width: Annotated[int, Field(gt=0, le=16384)]
     height: Annotated[int, Field(gt=0, le=16384)]
@@ -107,9 +98,7 @@ class DepthCloud(Message, frozen=True):
         default=1, description="full-resolution pixels per cloud pixel"
     )
     coding: Literal["depth", "disparity"]
-    step: Positive = Field(
-        description="quantum: metres for depth, full-resolution px for disparity"
-    )
+    step: Positive = Field(description="quantum: metres of depth, px of disparity")
     focal_baseline_px_m: Positive | None = Field(
         default=None, description="z = focal_baseline / disparity; only for disparity"
     )
@@ -122,10 +111,9 @@ class DepthCloud(Message, frozen=True):
         return self
 
 
-class ScatteredCloud(Message, frozen=True):
+class ScatteredCloud(Message, frozen=True, schema="fleet.scattered_cloud.v1"):
     """Points with their pixels, for clouds without a grid. Coded in `protocol.clouds`."""
 
-    schema_name: ClassVar[str] = "fleet.scattered_cloud.v1"
     form: Literal["scattered"] = "scattered"
     count: Annotated[int, Field(ge=0, le=2_000_000)]
     pixel_step_px: Positive = Field(description="quantum of the pixels")
@@ -133,20 +121,18 @@ class ScatteredCloud(Message, frozen=True):
     data: bytes
 
 
-class Salient(Message, frozen=True):
+class Salient(Message, frozen=True, schema="fleet.salient.v1"):
     """Salient points of a view with descriptors, strongest first. Coded in `protocol.clouds`."""
 
-    schema_name: ClassVar[str] = "fleet.salient.v1"
     extractor: Name = Field(description="which detector and descriptor, e.g. rootsift")
     count: Annotated[int, Field(ge=0, le=100_000)]
     descriptor_bytes: Annotated[int, Field(ge=1, le=1024)]
     data: bytes
 
 
-class View(Message, frozen=True):
+class View(Message, frozen=True, schema="fleet.view.v1"):
     """`robot/<id>/cloud`: what a robot saw at one moment, without the image."""
 
-    schema_name: ClassVar[str] = "fleet.view.v1"
     name: ViewName
     stamp_ns: int
     camera: Camera
@@ -157,10 +143,9 @@ class View(Message, frozen=True):
     has_image: bool = True
 
 
-class ImageHeader(Message, frozen=True):
+class ImageHeader(Message, frozen=True, schema="fleet.image_header.v1"):
     """Travels as the attachment of a JPEG under `robot/<id>/image`."""
 
-    schema_name: ClassVar[str] = "fleet.image_header.v1"
     view: ViewName
     stamp_ns: int
     scale: Annotated[int, Field(ge=1, le=16)] = Field(
@@ -168,19 +153,17 @@ class ImageHeader(Message, frozen=True):
     )
 
 
-class KeptView(Message, frozen=True):
+class KeptView(Message, frozen=True, schema="fleet.kept_view.v1"):
     """Reply of `robot/<id>/view?seq=12` : a view kept by its robot, or journalled by the server."""
 
-    schema_name: ClassVar[str] = "fleet.kept_view.v1"
     view: View
     jpeg: bytes | None = None
     image: ImageHeader | None = None
 
 
-class Odometry(Message, frozen=True):
+class Odometry(Message, frozen=True, schema="fleet.odometry.v1"):
     """`robot/<id>/odometry`: absolute in the robot's own odometry frame."""
 
-    schema_name: ClassVar[str] = "fleet.odometry.v1"
     robot: Name
     epoch: Epoch
     stamp_ns: int
@@ -188,19 +171,17 @@ class Odometry(Message, frozen=True):
     covariance: Matrix6
 
 
-class PairError(Message, frozen=True):
+class PairError(Message, frozen=True, schema="fleet.pair_error.v1"):
     """One of a robot's pairs, as its pose message tells it."""
 
-    schema_name: ClassVar[str] = "fleet.pair_error.v1"
     other: Name
     rmse_m: NonNegative
     verdict: Verdict
 
 
-class RobotPose(Message, frozen=True):
+class RobotPose(Message, frozen=True, schema="fleet.pose.v1"):
     """`pose/<id>`: where a robot is in the fleet frame."""
 
-    schema_name: ClassVar[str] = "fleet.pose.v1"
     robot: Name
     view: ViewName = Field(description="the view whose moment this pose is of")
     stamp_ns: int = Field(description="of that view, robot's clock")
@@ -222,10 +203,9 @@ class RobotPose(Message, frozen=True):
     n: Count = Field(description="counts up per robot and server epoch")
 
 
-class Alignment(Message, frozen=True):
+class Alignment(Message, frozen=True, schema="fleet.alignment.v1"):
     """`pair/<i>/<j>/alignment`: the newest alignment of a pair, i < j."""
 
-    schema_name: ClassVar[str] = "fleet.alignment.v1"
     view_i: ViewName
     view_j: ViewName
     T_i_j: Pose | None = Field(
@@ -249,10 +229,9 @@ class Alignment(Message, frozen=True):
 CorrespondenceStatus = Literal["accepted", "outlier", "unused"]
 
 
-class Correspondence(Message, frozen=True):
+class Correspondence(Message, frozen=True, schema="fleet.correspondence.v1"):
     """One point clicked in two images."""
 
-    schema_name: ClassVar[str] = "fleet.correspondence.v1"
     id: Count
     operator: Name
     view_i: ViewName
@@ -265,10 +244,9 @@ class Correspondence(Message, frozen=True):
     revision: Count = 0
 
 
-class PairCorrespondences(Message, frozen=True):
+class PairCorrespondences(Message, frozen=True, schema="fleet.pair_correspondences.v1"):
     """`pair/<i>/<j>/correspondences`: the authoritative set of a pair, i < j."""
 
-    schema_name: ClassVar[str] = "fleet.pair_correspondences.v1"
     i: Name
     j: Name
     revision: Count
@@ -276,10 +254,9 @@ class PairCorrespondences(Message, frozen=True):
     server_epoch: Epoch
 
 
-class OperatorUpdate(Message, frozen=True):
+class OperatorUpdate(Message, frozen=True, schema="fleet.operator_update.v1"):
     """`operator/<op>/correspondences`: one numbered change, repeated until a receipt covers it."""
 
-    schema_name: ClassVar[str] = "fleet.operator_update.v1"
     operator: Name
     session: Epoch = Field(description="one life of the operator's client")
     n: Annotated[int, Field(ge=1, lt=2**63)] = Field(description="1, 2, 3, ... within the session")
@@ -303,18 +280,16 @@ class OperatorUpdate(Message, frozen=True):
         return self
 
 
-class Rejection(Message, frozen=True):
+class Rejection(Message, frozen=True, schema="fleet.rejection.v1"):
     """Why an update was not accepted; final like an acceptance."""
 
-    schema_name: ClassVar[str] = "fleet.rejection.v1"
     n: Count
     reason: Text
 
 
-class Receipts(Message, frozen=True):
+class Receipts(Message, frozen=True, schema="fleet.receipts.v1"):
     """`operator/<op>/receipts`: all updates of the session up to n are final and in the journal."""
 
-    schema_name: ClassVar[str] = "fleet.receipts.v1"
     operator: Name
     session: Epoch
     n: Count
@@ -322,10 +297,9 @@ class Receipts(Message, frozen=True):
     server_epoch: Epoch
 
 
-class Selection(Message, frozen=True):
+class Selection(Message, frozen=True, schema="fleet.selection.v1"):
     """`operator/<op>/selection`: the pair on the operator's screen; its frozen views are kept."""
 
-    schema_name: ClassVar[str] = "fleet.selection.v1"
     operator: Name
     session: Epoch
     i: Name | None
@@ -334,10 +308,9 @@ class Selection(Message, frozen=True):
     view_j: ViewName | None = None
 
 
-class PairCell(Message, frozen=True):
+class PairCell(Message, frozen=True, schema="fleet.pair_cell.v1"):
     """One cell of the error matrix, i < j."""
 
-    schema_name: ClassVar[str] = "fleet.pair_cell.v1"
     i: Name
     j: Name
     state: Literal["untried", "through_others", "tried"]
@@ -350,10 +323,9 @@ class PairCell(Message, frozen=True):
     correspondences: Count = 0
 
 
-class Question(Message, frozen=True):
+class Question(Message, frozen=True, schema="fleet.question.v1"):
     """What the operator is asked, best first."""
 
-    schema_name: ClassVar[str] = "fleet.question.v1"
     i: Name
     j: Name
     view_i: ViewName
@@ -364,10 +336,9 @@ class Question(Message, frozen=True):
     )
 
 
-class RobotState(Message, frozen=True):
+class RobotState(Message, frozen=True, schema="fleet.robot_state.v1"):
     """One robot in the fleet's state."""
 
-    schema_name: ClassVar[str] = "fleet.robot_state.v1"
     robot: Name
     alive: bool
     newest_view: ViewName | None
@@ -376,10 +347,9 @@ class RobotState(Message, frozen=True):
     why_not: Text = Field(description="why it is not located; empty if it is")
 
 
-class FleetState(Message, frozen=True):
+class FleetState(Message, frozen=True, schema="fleet.state.v1"):
     """`fleet/state`: everything a late client needs, at a steady rate."""
 
-    schema_name: ClassVar[str] = "fleet.state.v1"
     server_epoch: Epoch
     n: Count
     stamp_ns: int
@@ -392,10 +362,9 @@ class FleetState(Message, frozen=True):
     events: tuple[Text, ...] = Field(description="the newest 20, oldest first")
 
 
-class ServerStatus(Message, frozen=True):
+class ServerStatus(Message, frozen=True, schema="fleet.status.v1"):
     """`server/status`: load, queue and drops."""
 
-    schema_name: ClassVar[str] = "fleet.status.v1"
     server_epoch: Epoch
     uptime_s: NonNegative
     views: Count
@@ -410,10 +379,9 @@ class ServerStatus(Message, frozen=True):
     version: Text
 
 
-class RelativePose(Message, frozen=True):
+class RelativePose(Message, frozen=True, schema="fleet.relative_pose.v1"):
     """Reply of `server/relative?from=a;to=b`."""
 
-    schema_name: ClassVar[str] = "fleet.relative_pose.v1"
     a: Name
     b: Name
     T_a_b: Pose = Field(description="robot body frames")
@@ -422,11 +390,7 @@ class RelativePose(Message, frozen=True):
     through: tuple[Name, ...]
 
 
-MESSAGES: tuple[type[Message], ...] = tuple(
-    value
-    for value in list(globals().values())
-    if isinstance(value, type) and issubclass(value, Message) and value is not Message
-)
+MESSAGES: tuple[type[Message], ...] = tuple(Message.__subclasses__())
 """Every message class; tests walk it."""
 
 ROBOT_FROM_CAMERA = np.array(

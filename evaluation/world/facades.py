@@ -1,5 +1,4 @@
-"""Facades of the synthetic world: materials dressed with windows, doors, posters, graffiti, ivy and
-stains.
+"""Facades of the synthetic world: materials with windows, doors, posters, ivy and stains.
 
 Windows of one facade share their make, as real ones do, but not what stands behind the glass.
 """
@@ -9,6 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from evaluation.world.colours import BRICK, GREY, PAINTS, PRINTS, RENDERS, STONE, WORDS
 from evaluation.world.textures import (
     Colour,
     Rng,
@@ -23,58 +23,6 @@ from evaluation.world.textures import (
     plain,
     plaster,
     wood,
-)
-
-BRICK = [(62, 78, 150), (70, 88, 165), (55, 66, 128), (80, 100, 172), (64, 74, 112)]
-STONE = [(150, 168, 182), (138, 156, 172), (160, 176, 186), (128, 142, 160), (146, 158, 166)]
-GREY = [(130, 134, 138), (118, 122, 128), (142, 146, 148), (108, 112, 116)]
-RENDERS: list[Colour] = [
-    (150, 190, 215),
-    (165, 185, 195),
-    (120, 165, 205),
-    (175, 170, 150),
-    (140, 160, 200),
-    (150, 178, 160),
-]
-PAINTS: list[Colour] = [
-    (60, 50, 150),
-    (120, 80, 40),
-    (60, 110, 60),
-    (40, 120, 190),
-    (110, 60, 110),
-    (50, 45, 45),
-]
-PRINTS: list[Colour] = [  # what posters, curtains and window frames are coloured with
-    (45, 50, 165),
-    (70, 120, 215),
-    (95, 185, 225),
-    (150, 190, 215),
-    (205, 220, 230),
-    (150, 130, 60),
-    (130, 85, 35),
-    (90, 120, 60),
-    (75, 85, 95),
-    (40, 40, 45),
-    (120, 160, 150),
-    (110, 95, 175),
-]
-WORDS = (
-    "CAFE",
-    "BAKERY",
-    "OPEN",
-    "JAZZ",
-    "MARKET",
-    "CIRCUS",
-    "BOOKS",
-    "TEA",
-    "LIVE",
-    "NORD",
-    "OPERA",
-    "ROBOTS",
-    "7",
-    "24",
-    "EXPO",
-    "FILM",
 )
 
 

@@ -78,7 +78,7 @@ class Renderer:
         self._quads = tuple(quads)
         self._corners = np.array([q.corner for q in quads])
         self._outlines = np.array(
-            [q.corner + ((0 * q.down), q.right, q.right + q.down, q.down) for q in quads]
+            [q.corner + np.array((0 * q.down, q.right, q.right + q.down, q.down)) for q in quads]
         )
         self._outward = np.array([q.outward for q in quads])
         self._M = np.array([np.column_stack((q.right, q.down, q.corner)) for q in quads])

@@ -140,8 +140,8 @@ def wood(rng: Rng, height: int, width: int, colour: Colour, plank: float = 18) -
         (width, height),
         interpolation=cv2.INTER_CUBIC,
     )
-    plank = plain(height, width, colour) * tone[index][None, :, None]
-    texture = modulated(plank, np.asarray(grain, np.float32), 0.13)
+    boards: Texture = plain(height, width, colour) * tone[index][None, :, None]
+    texture = modulated(boards, np.asarray(grain, np.float32), 0.13)
     texture = modulated(texture, noise(rng, height, width, 50, 4), 0.08)
     for u, v in rng.uniform((0, 0), (width, height), (height * width // 4000, 2)):
         cv2.ellipse(

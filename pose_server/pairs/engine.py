@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Literal
 
-from pose_server.pairs.align import PairResult, Start, align_pair
+from pose_server.pairs.align import Start, align_pair
+from pose_server.pairs.judging import PairResult
 from pose_server.pairs.starts import Clicks, operator_start, with_operator_fallback
 from pose_server.pairs.views import PreparedView, prepare_view
 from protocol.codec import unpack

@@ -13,7 +13,8 @@ from pose_server.geometry.noise import covariances
 from pose_server.geometry.observed import Observed
 from pose_server.geometry.refine import NoiseScale, Refinement, refine
 from pose_server.geometry.se3 import position_covariance
-from pose_server.pairs.align import PairResult, Start
+from pose_server.pairs.align import Start
+from pose_server.pairs.judging import PairResult
 from pose_server.pairs.views import PreparedView
 
 Floats = npt.NDArray[np.floating]

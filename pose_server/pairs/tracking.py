@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.geometry.se3 import rotation_angle
-from pose_server.pairs.align import PairResult
+from pose_server.pairs.judging import PairResult
 from protocol.messages import Verdict, ViewName
 
 Floats = npt.NDArray[np.floating]

@@ -1,0 +1,183 @@
+"""What a found pose is worth: all evidence at the pose, its covariance, its errors, the verdict."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from pose_server.geometry import robust
+from pose_server.geometry.errors import DegenerateGeometryError
+from pose_server.geometry.evidence import Agreement
+from pose_server.geometry.refine import NoiseScale, Refinement
+from pose_server.geometry.se3 import inverse, position_covariance, rotation_angle, transform
+from pose_server.pairs.pair import Pair
+from pose_server.pairs.verdict import Evidence, Verdict, judge
+
+Floats = npt.NDArray[np.floating]
+Indices = npt.NDArray[np.int64]
+
+# Matches share depth errors, so that the raw covariance is too sure: inflated, with a floor, it
+# was calibrated on one data set and checked on others (variance factor; radians and shares of the
+# median depth).
+COVARIANCE_INFLATION = 4.0
+COVARIANCE_FLOOR = 3e-4
+
+
+@dataclass(frozen=True)
+class PairResult:
+    """An alignment and how good it is. Poses are camera j in camera i, covariances left, rotation
+    first.
+    """
+
+    T_i_j: Floats | None
+    covariance: Floats | None
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    inliers: int = 0
+    overlap: float = 0.0
+    rmse_m: float = 0.0
+    regression_error_m2: float = 0.0
+    regression_count: int = 0
+    start: str = "none"
+    evidence: Evidence | None = None
+    timings_ms: dict[str, float] = field(default_factory=dict)
+
+
+def judged(pair: Pair, T: Floats, start: str) -> PairResult:
+    """Collects all evidence at the final pose, and the verdict."""
+    matches = np.unique(np.concatenate((pair.guided(T, 0.008), pair.ratio)), axis=0)
+    seen = pair.agreement(T)
+    if len(matches) < 6:
+        reason = f"{len(matches)} matches at the found pose, need 6"
+        return PairResult(T, None, "rejected", (reason,), overlap=seen.overlap, start=start)
+    try:
+        again = pair.refined(T, matches, NoiseScale(), 4)
+        final = pair.scored(T, matches, again.noise)
+    except DegenerateGeometryError as error:
+        return PairResult(T, None, "rejected", (str(error),), overlap=seen.overlap, start=start)
+    covariance = _calibrated(final.information, pair.depth_m)
+    if covariance is None:
+        reason = "the matches do not determine a pose"
+        return PairResult(T, None, "rejected", (reason,), overlap=seen.overlap, start=start)
+    evidence = _evidence(pair, T, matches, final, again, covariance, seen)
+    verdict, reasons = judge(evidence)
+    error_m2, count = regression_error(pair, T)
+    return PairResult(
+        T_i_j=T,
+        covariance=covariance,
+        verdict=verdict,
+        reasons=reasons,
+        inliers=evidence.inliers,
+        overlap=seen.overlap,
+        rmse_m=float(np.sqrt(error_m2 / count)) if count else 0.0,
+        regression_error_m2=error_m2,
+        regression_count=count,
+        start=start,
+        evidence=evidence,
+    )
+
+
+def _evidence(
+    pair: Pair,
+    T: Floats,
+    matches: Indices,
+    final: Refinement,
+    again: Refinement,
+    covariance: Floats,
+    seen: Agreement,
+) -> Evidence:
+    ratio = pair.scored(T, pair.ratio, again.noise) if len(pair.ratio) >= 3 else None
+    consistent = _places(pair, pair.ratio[ratio.inliers]) if ratio else 0
+    raw = np.linalg.inv(final.information)
+    inliers = final.inliers
+    return Evidence(
+        inliers=_places(pair, matches[inliers]),
+        ratio_inliers=consistent,
+        ratio_matches=len(pair.ratio),
+        rival=_rival(pair, ratio),
+        position_sigma=float(np.sqrt(np.linalg.eigvalsh(position_covariance(T, raw))[-1]))
+        / pair.depth_m,
+        rotation_sigma_rad=float(np.sqrt(np.linalg.eigvalsh(raw[:3, :3])[-1])),
+        across_px=_robust_sigma(final.across_px[inliers]),
+        pixel_sigma_px=float(
+            np.hypot(pair.i.observed.pixel_sigma_px, pair.j.observed.pixel_sigma_px)
+        ),
+        shift=float(np.linalg.norm(again.T_i_j[:3, 3] - T[:3, 3])) / pair.depth_m,
+        turn_rad=rotation_angle(again.T_i_j[:3, :3].T @ T[:3, :3]),
+        compared=seen.compared,
+        agree=seen.agree,
+        through=seen.through,
+        spread=_spread(pair, matches[inliers]),
+        depth_noise=again.noise.depth,
+    )
+
+
+def _robust_sigma(residuals: Floats) -> float:
+    return 1.4826 * float(np.median(residuals)) if len(residuals) else float("inf")
+
+
+def _places(pair: Pair, matches: Indices) -> int:
+    """Matches at distinct places, on a grid of 4 px in both views: copies of one spot count
+    once.
+    """
+    if len(matches) == 0:
+        return 0
+    cells_i = np.unique(np.rint(pair.i.observed.uv[matches[:, 0]] / 4), axis=0)
+    cells_j = np.unique(np.rint(pair.j.observed.uv[matches[:, 1]] / 4), axis=0)
+    return min(len(cells_i), len(cells_j))
+
+
+def _spread(pair: Pair, matches: Indices) -> float:
+    """The smaller extent of the matches in the images, as a share of the image height."""
+    shares = []
+    for view, column in ((pair.i.observed, 0), (pair.j.observed, 1)):
+        uv = view.uv[matches[:, column]]
+        extent = np.sqrt(max(np.linalg.eigvalsh(np.cov(uv.T))[0], 0.0)) if len(uv) > 3 else 0.0
+        shares.append(float(extent) / view.size[1])
+    return min(shares)
+
+
+def _rival(pair: Pair, ratio: Refinement | None) -> int:
+    """Support of the best other pose, searched among the matches that the winner leaves over."""
+    if ratio is None:
+        return 0
+    rest = pair.ratio[~ratio.inliers]
+    if len(rest) < 6:
+        return 0
+    p_i, p_j = pair.points(rest)
+    found = robust.solve(p_i / pair.depth_m, p_j / pair.depth_m, 0.01)
+    return _places(pair, rest[found[1]]) if found else 0
+
+
+def _calibrated(information: Floats, depth_m: float) -> Floats | None:
+    """(6, 6) covariance with the inflation and the floor that made it honest; None if it is not
+    determined.
+    """
+    scale = np.diag([1.0] * 3 + [1.0 / depth_m] * 3)  # positions as shares of the depth
+    scaled = np.linalg.inv(scale) @ information @ np.linalg.inv(scale)
+    values, vectors = np.linalg.eigh(scaled)
+    if not np.isfinite(values).all() or values[0] <= 1e-9 * values[-1]:
+        return None
+    covariance = COVARIANCE_INFLATION * (
+        vectors / values
+    ) @ vectors.T + COVARIANCE_FLOOR**2 * np.eye(6)
+    back = np.linalg.inv(scale)
+    return back @ covariance @ back
+
+
+def regression_error(pair: Pair, T: Floats) -> tuple[float, int]:
+    """Sum of truncated squared distances (m^2) over salient points of both views brought into each
+    other's sight.
+    """
+    total, count = 0.0, 0
+    radius = max(0.03, 4 * pair.sigma) * pair.depth_m
+    for source, target, T_ts in ((pair.j, pair.i, T), (pair.i, pair.j, inverse(T))):
+        predicted = source.observed.predict_in(target.observed, T_ts, 0.0)
+        if len(predicted.index) == 0:
+            continue
+        moved = transform(T_ts, source.observed.points[predicted.index])
+        distance, _ = target.point_tree.query(moved, distance_upper_bound=radius)
+        distance = np.minimum(distance, radius)
+        total += float((distance**2).sum())
+        count += len(distance)
+    return total, count

@@ -1,0 +1,91 @@
+"""Two views side by side: matches between them, and how well a pose explains both."""
+
+import numpy as np
+import numpy.typing as npt
+
+from pose_server.geometry.evidence import Agreement, agreement
+from pose_server.geometry.matching import (
+    guided_matches,
+    one_to_one,
+    ratio_matches,
+    similarities,
+)
+from pose_server.geometry.refine import NoiseScale, Refinement, refine
+from pose_server.geometry.se3 import inverse
+from pose_server.pairs.views import PreparedView
+
+Floats = npt.NDArray[np.floating]
+Indices = npt.NDArray[np.int64]
+
+RATIO = 0.9
+_COMMON_NOISE = NoiseScale(1.5, 1.2)  # candidates are compared at the same noise
+
+
+class Pair:
+    """Two views and what every step of their alignment shares.
+
+    Attributes:
+        depth_m: median depth of both.
+        sigma: relative sigma of the distance of two matching points along the ray.
+        cosines: (Ni, Nj) similarities of all salient points.
+        ratio: (M, 2) matches by descriptor alone, of points with depth.
+    """
+
+    def __init__(self, i: PreparedView, j: PreparedView) -> None:
+        self.i, self.j = i, j
+        self.depth_m = 0.5 * (i.median_depth_m + j.median_depth_m)
+        self.sigma = float(np.hypot(i.surface.depth_sigma, j.surface.depth_sigma))
+        self.cosines = similarities(i.descriptors, j.descriptors)
+        lifted_i, lifted_j = i.observed.lifted, j.observed.lifted
+        found = ratio_matches(self.cosines[np.ix_(lifted_i, lifted_j)], RATIO)
+        self.ratio = np.column_stack((lifted_i[found[:, 0]], lifted_j[found[:, 1]]))
+
+    def points(self, matches: Indices) -> tuple[Floats, Floats]:
+        return self.i.observed.points[matches[:, 0]], self.j.observed.points[matches[:, 1]]
+
+    def refined(
+        self, T: Floats, matches: Indices, noise: NoiseScale, iterations: int = 6
+    ) -> Refinement:
+        return refine(self.i.observed, self.j.observed, matches, T, noise, iterations)
+
+    def scored(self, T: Floats, matches: Indices, noise: NoiseScale) -> Refinement:
+        return refine(self.i.observed, self.j.observed, matches, T, noise, 0)
+
+    def guided(self, T: Floats, radius: float) -> Indices:
+        """Matches around the predicted place, both ways; the radius is a share of the depth."""
+        i, j = self.i.observed, self.j.observed
+        tolerance = max(0.1, 5 * self.sigma)
+        pixels_i, pixels_j = max(radius * i.focal_px, 4.0), max(radius * j.focal_px, 4.0)
+        into_j, score_j = guided_matches(
+            i.predict_in(j, inverse(T), pixels_j),
+            j.tree,
+            j.inverse_depth,
+            self.cosines,
+            pixels_j,
+            tolerance,
+        )
+        into_i, score_i = guided_matches(
+            j.predict_in(i, T, pixels_i),
+            i.tree,
+            i.inverse_depth,
+            self.cosines.T,
+            pixels_i,
+            tolerance,
+        )
+        both = np.concatenate((into_j, into_i[:, ::-1]))
+        return one_to_one(both, np.concatenate((score_j, score_i)))
+
+    def agreement(self, T: Floats) -> Agreement:
+        return agreement(self.i.surface, self.j.surface, T)
+
+    def score(self, T: Floats) -> float:
+        """Consistent matches times surface agreement, at a noise level that is the same for all
+        candidates.
+        """
+        support = 0.0
+        if len(self.ratio) >= 3:
+            support = self.scored(T, self.ratio, _COMMON_NOISE).support
+        if self.i.dense and self.j.dense:
+            support = support**0.5
+        seen = self.agreement(T)
+        return (support + 1.0) * max(0.02, seen.mean_agree - max(0.0, seen.through - 0.05))
