@@ -219,13 +219,10 @@ def fleet_state(site: Site, settings: ServerSettings, stamp: Stamp, n: int) -> F
 
 
 def pair_cells(site: Site, now_s: float) -> tuple[PairCell, ...]:
-    """The error matrix: one cell per pair of robots."""
+    """The error matrix: a cell per pair of which anything is known; the others are untried."""
     names = sorted(site.robots)
-    cells = []
-    for k, a in enumerate(names):
-        for b in names[k + 1 :]:
-            cells.append(_cell(site, a, b, now_s))
-    return tuple(cells)
+    cells = (_cell(site, a, b, now_s) for k, a in enumerate(names) for b in names[k + 1 :])
+    return tuple(cell for cell in cells if cell.state != "untried" or cell.correspondences)
 
 
 def _cell(site: Site, a: str, b: str, now_s: float) -> PairCell:

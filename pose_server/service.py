@@ -55,6 +55,7 @@ class Service:
         self._solved_s = self._solve_took_s = 0.0
         self._saw_newest: dict[str, object] = {}
         self._noted_anchor = site.anchor
+        self._unclicked = False
 
     def run(self) -> None:
         """Serves until stopped."""
@@ -167,6 +168,7 @@ class Service:
             return
         for outcome in outcomes:
             log.info("update %s/%d %s", update.operator, outcome.n, outcome.reason or "accepted")
+        self._unclicked |= any(outcome.action != "add" for outcome in outcomes)
         self._put(self.keys.receipts(update.operator), self.site.book.receipts(update, self.epoch))
         for pair in {ordered_pair(update.i, update.j), *(outcome.pair for outcome in outcomes)}:
             self._publish_correspondences(pair)
@@ -222,9 +224,20 @@ class Service:
         if self._due("status", _STATUS_S):
             self._put(self.keys.status, self._status())
         if self._due("prune", _PRUNE_S):
-            dropped = self.site.views.prune(time.monotonic(), self.site.held())
-            for robot in self.site.robots.values():
-                robot.track.forget({view for view in dropped if view.robot == robot.name})
+            self._prune()
+
+    def _prune(self) -> None:
+        """Lets go of views that are old and that nothing holds."""
+        dropped = self.site.views.prune(time.monotonic(), self.site.held())
+        for robot in self.site.robots.values():
+            robot.track.forget({view for view in dropped if view.robot == robot.name})
+        if not self._unclicked:
+            return
+        try:
+            self.journal.keep_only_views(self.site.book.views())
+            self._unclicked = False
+        except JournalError as error:
+            log.error("unclicked views stay in the journal: %s", error)
 
     def _due(self, what: str, period_s: float) -> bool:
         now = time.monotonic()
