@@ -1,0 +1,144 @@
+"""Real processes over real zenoh in the synthetic world: frames to poses, a click to a changed
+pose.
+"""
+
+import random
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deploy.local_fleet import LocalFleet
+from evaluation.fleet import open_link, plan_world, start
+from evaluation.observer import Observer
+from protocol.codec import unpack
+from protocol.keys import Keys
+from protocol.messages import PairCorrespondences, RobotPose
+from protocol.transport import wait_until
+
+RADIUS_M = 10.0
+FIRST_POSE_S = 60.0
+CLICK_S = 10.0
+
+
+@contextmanager
+def running(folder: Path, robots: int, skip: str = "") -> Iterator[tuple[LocalFleet, Observer]]:
+    plan = plan_world([f"r{k + 1}" for k in range(robots)], folder, moving=False, seed=0)
+    skip_file = None
+    if skip:
+        skip_file = folder / "skip.txt"
+        skip_file.write_text(skip)
+    with LocalFleet(folder) as fleet:
+        start(fleet, plan, 2, folder / "state", skip_file)
+        link = open_link(fleet)
+        try:
+            yield fleet, Observer(link, Keys(fleet.site))
+        finally:
+            link.close()
+
+
+def pose(observer: Observer, robot: str) -> RobotPose | None:
+    seen = observer.poses().get(robot)
+    return None if seen is None else seen.pose
+
+
+def error_m(observer: Observer, folder: Path, a: str, b: str) -> float:
+    """How far the position of b as seen from a is from the truth."""
+    T_a, T_b = pose(observer, a).T_fleet_robot, pose(observer, b).T_fleet_robot
+    G_a, G_b = (truth_of(folder, robot) for robot in (a, b))
+    found, true = np.linalg.inv(T_a) @ T_b, np.linalg.inv(G_a) @ G_b
+    return float(np.linalg.norm(found[:3, 3] - true[:3, 3]))
+
+
+def truth_of(folder: Path, robot: str) -> np.ndarray:
+    import json
+
+    return np.array(json.loads((folder / "truth").read_text())["T_world_robots"][robot])
+
+
+def joined(observer: Observer, a: str, b: str) -> bool:
+    at_a, at_b = pose(observer, a), pose(observer, b)
+    return at_a is not None and at_b is not None and at_a.component == at_b.component
+
+
+@pytest.mark.timeout(180)
+def test_frames_become_poses_of_the_whole_fleet(tmp_path):
+    with running(tmp_path, 3) as (fleet, observer):
+        names = ("r1", "r2", "r3")
+
+        def all_located() -> bool:
+            fleet.check()
+            return all((p := pose(observer, name)) is not None and p.located for name in names)
+
+        assert wait_until(all_located, FIRST_POSE_S), fleet.tail("server")
+        for name in ("r2", "r3"):
+            assert error_m(observer, tmp_path, "r1", name) < 0.02 * RADIUS_M
+    assert fleet.leftover_processes() == 0
+
+
+@pytest.mark.timeout(240)
+def test_three_clicks_join_a_skipped_pair_and_survive_a_killed_server(tmp_path):
+    with running(tmp_path, 2, skip="r1 r2\n") as (fleet, observer):
+        assert wait_until(lambda: pose(observer, "r1") and pose(observer, "r2"), FIRST_POSE_S)
+        assert not joined(observer, "r1", "r2")
+
+        added = put(fleet, true_clicks(observer, tmp_path, fleet))
+        assert added.returncode == 0, added.stdout + added.stderr
+        assert wait_until(lambda: joined(observer, "r1", "r2"), CLICK_S), fleet.tail("server")
+        assert error_m(observer, tmp_path, "r1", "r2") < 0.05 * RADIUS_M
+
+        fleet.kill("server")
+        fleet.restart("server")
+        kept: list[PairCorrespondences] = []
+        link = open_link(fleet)
+        link.on_latched(
+            Keys(fleet.site).correspondences("r1", "r2"),
+            lambda sample: kept.append(unpack(PairCorrespondences, sample.payload)),
+        )
+        try:
+            epoch = pose(observer, "r2").server_epoch
+            assert wait_until(
+                lambda: (
+                    pose(observer, "r2").server_epoch != epoch
+                    and pose(observer, "r1").server_epoch != epoch
+                    and joined(observer, "r1", "r2")
+                ),
+                FIRST_POSE_S,
+            ), fleet.tail("server")
+            assert wait_until(lambda: kept and len(kept[-1].items) == 3, CLICK_S)
+        finally:
+            link.close()
+
+
+def true_clicks(observer: Observer, folder: Path, fleet: LocalFleet) -> list[str]:
+    """Three points far apart that both robots see, with a pixel of noise, as the command takes
+    them.
+    """
+    from evaluation.truth import WorldTruth
+
+    truth = WorldTruth(folder / "truth", {"r1": "r1", "r2": "r2"})
+    views = [observer.view(pose(observer, robot).view) for robot in ("r1", "r2")]
+    uv_i, uv_j = truth.correspondences(*views)
+    rng = random.Random(0)
+    triples = [rng.sample(range(len(uv_i)), 3) for _ in range(300)]
+    best = max(triples, key=lambda t: abs(np.linalg.det(np.column_stack((uv_i[t], np.ones(3))))))
+    noise = [rng.gauss(0, 0.7) for _ in range(12)]
+    return [
+        ",".join(f"{value + noise[4 * k + n]:.1f}" for n, value in enumerate((*uv_i[t], *uv_j[t])))
+        for k, t in enumerate(best)
+    ]
+
+
+def put(fleet: LocalFleet, clicks: list[str]) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-P", "-m", "hmi_client", "correspondences", "add", "r1", "r2"]
+    return subprocess.run(
+        [*command, *clicks, "--timeout", "10", *fleet.connection],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
