@@ -1,0 +1,143 @@
+"""Alignment of made-up views: found at any scale, never verified where nothing is in common."""
+
+import numpy as np
+import pytest
+
+from pose_server.geometry.evidence import agreement
+from pose_server.geometry.se3 import inverse, rotation_angle
+from pose_server.pairs.align import Start, align_pair
+from pose_server.pairs.starts import Clicks, operator_start, with_operator_fallback
+from pose_server.pairs.verdict import Evidence, judge
+from pose_server.pairs.views import prepare_view
+from tests.pose_server.scene import descriptors, pair_of_views, turned, view, walls
+
+GOOD = Evidence(
+    inliers=100,
+    ratio_inliers=60,
+    ratio_matches=80,
+    rival=0,
+    position_sigma=0.002,
+    rotation_sigma_rad=0.002,
+    across_px=0.5,
+    pixel_sigma_px=0.5,
+    shift=0.001,
+    turn_rad=0.001,
+    compared=500,
+    agree=0.9,
+    through=0.01,
+    spread=0.2,
+    depth_noise=1.0,
+)
+
+
+@pytest.mark.parametrize("depth_m", [0.1, 10.0, 1000.0])
+def test_a_pair_is_found_and_verified_whatever_the_size_of_the_scene(depth_m):
+    T_true = turned(15, depth_m)
+    i, j = pair_of_views(np.random.default_rng(0), T_true, depth_m)
+    found = align_pair(prepare_view(i), prepare_view(j))
+    assert found.verdict == "verified"
+    assert np.linalg.norm(found.T_i_j[:3, 3] - T_true[:3, 3]) < 0.01 * depth_m
+    assert rotation_angle(found.T_i_j[:3, :3].T @ T_true[:3, :3]) < 0.01
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_views_with_nothing_in_common_are_never_verified(seed):
+    rng = np.random.default_rng(seed)
+    i = view(rng, "r1", walls(rng), descriptors(rng, 800), np.eye(4))
+    j = view(rng, "r2", walls(rng), descriptors(rng, 800), np.eye(4))
+    found = align_pair(prepare_view(i), prepare_view(j), (Start("graph", turned(5), 0.03),))
+    assert found.verdict in ("rejected", "ambiguous")
+
+
+def test_a_second_pose_with_as_many_matches_makes_it_ambiguous_or_worse():
+    """Half of the points are seen where they are, half as if the scene stood three metres aside."""
+    rng = np.random.default_rng(1)
+    points, looks = walls(rng), descriptors(rng, 800)
+    moved = points.copy()
+    moved[::2, 0] += 3.0
+    i = view(rng, "r1", points, looks, np.eye(4))
+    j = view(rng, "r2", moved, looks, inverse(turned(5)))
+    assert align_pair(prepare_view(i), prepare_view(j)).verdict != "verified"
+
+
+def test_a_shifted_pose_is_seen_through_or_disagrees():
+    T_true = turned(15)
+    i, j = (prepare_view(v) for v in pair_of_views(np.random.default_rng(2), T_true))
+    right = agreement(i.surface, j.surface, T_true)
+    assert right.agree > 0.8 and right.through < 0.05
+    for direction in np.eye(3):
+        T = T_true.copy()
+        T[:3, 3] += 1.5 * direction * np.array([1.0, 1.0, 1.0])
+        wrong = agreement(i.surface, j.surface, T)
+        assert wrong.agree < right.agree
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"inliers": 12},
+        {"ratio_inliers": 9},
+        {"position_sigma": 0.02},
+        {"rotation_sigma_rad": 0.05},
+        {"across_px": 1.5},
+        {"shift": 0.02},
+        {"compared": 5},
+        {"agree": 0.4},
+        {"through": 0.15},
+        {"rival": 50},
+    ],
+)
+def test_each_doubt_alone_keeps_a_pose_from_being_verified(change):
+    assert judge(GOOD)[0] == "verified"
+    verdict, reasons = judge(Evidence(**{**GOOD.__dict__, **change}))
+    assert verdict != "verified"
+    assert reasons and all(reasons)
+
+
+@pytest.mark.parametrize(
+    "change", [{"inliers": 3}, {"through": 0.4}, {"agree": 0.1}, {"position_sigma": 0.5}]
+)
+def test_each_contradiction_alone_rejects(change):
+    assert judge(Evidence(**{**GOOD.__dict__, **change}))[0] == "rejected"
+
+
+def clicks_of(T_i_j: np.ndarray, points: np.ndarray, K: np.ndarray, sigma_m: float) -> Clicks:
+    at_j = (points - T_i_j[:3, 3]) @ T_i_j[:3, :3]
+    uv_i, uv_j = ((p @ K.T)[:, :2] / p[:, 2:] for p in (points, at_j))
+    sigma = np.full(len(points), sigma_m)
+    return Clicks(uv_i, uv_j, points[:, 2], at_j[:, 2], sigma, sigma)
+
+
+FAR_APART = np.array([[-3.0, -2.0, 9.0], [3.0, -2.0, 11.0], [0.0, 2.5, 10.0]])
+
+
+def test_three_clicks_give_a_start_that_alignment_confirms():
+    T_true = turned(30)
+    i, j = (prepare_view(v) for v in pair_of_views(np.random.default_rng(3), T_true))
+    clicks = clicks_of(T_true, FAR_APART, i.observed.K, 0.1)
+    start = operator_start(i, j, clicks, ())
+    assert start is not None and start.model == "rigid"
+    assert np.allclose(start.start.T_i_j, T_true, atol=1e-3)
+    found = align_pair(i, j, [start.start], features=False)
+    assert (found.verdict, found.start) == ("verified", "operator")
+
+
+def test_one_click_needs_a_rotation_from_elsewhere():
+    i, j = (prepare_view(v) for v in pair_of_views(np.random.default_rng(4), turned(10)))
+    clicks = clicks_of(turned(10), FAR_APART[:1], i.observed.K, 0.1)
+    assert operator_start(i, j, clicks, ()) is None
+    known = Start("graph", turned(10), 0.02)
+    start = operator_start(i, j, clicks, (known,))
+    assert start is not None and start.model == "translation" and start.covariance is None
+
+
+def test_clicks_alone_are_plausible_where_features_say_nothing_but_never_verified():
+    rng = np.random.default_rng(5)
+    points = walls(rng)
+    i = prepare_view(view(rng, "r1", points, descriptors(rng, 800), np.eye(4)))
+    j = prepare_view(view(rng, "r2", points, descriptors(rng, 800), inverse(turned(10))))
+    start = operator_start(i, j, clicks_of(turned(10), FAR_APART, i.observed.K, 0.1), ())
+    assert start is not None
+    found = with_operator_fallback(align_pair(i, j, [start.start], False), start, i, j)
+    assert found.verdict == "plausible"
+    assert found.start == "operator"

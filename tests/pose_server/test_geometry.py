@@ -1,0 +1,219 @@
+"""Rigid motions, linear transformations, refinement, lifting, matching: axioms and known truth."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pose_server.geometry import dlt
+from pose_server.geometry.errors import DegenerateGeometryError
+from pose_server.geometry.lift import lift_pixel
+from pose_server.geometry.matching import one_to_one, ratio_matches
+from pose_server.geometry.noise import PointNoise
+from pose_server.geometry.refine import refine
+from pose_server.geometry.se3 import (
+    adjoint,
+    compose_covariance,
+    exp_so3,
+    inverse,
+    log_so3,
+    make_pose,
+    retract,
+    rotation_angle,
+    transform,
+)
+from tests.pose_server.scene import K, observed_pair, turned
+
+vectors = st.lists(st.floats(-3.1, 3.1), min_size=3, max_size=3).map(np.array)
+
+
+def random_pose(rng: np.random.Generator) -> np.ndarray:
+    return make_pose(exp_so3(rng.normal(0, 1, 3)), rng.normal(0, 5, 3))
+
+
+@given(vectors)
+def test_log_undoes_exp_up_to_half_a_turn(w):
+    if np.linalg.norm(w) < np.pi - 1e-3:
+        assert np.allclose(log_so3(exp_so3(w)), w, atol=1e-6)
+
+
+@given(vectors, vectors)
+def test_inverse_and_adjoint_are_consistent(w, t):
+    T = make_pose(exp_so3(w), t)
+    assert np.allclose(inverse(T) @ T, np.eye(4), atol=1e-9)
+    small = np.array([1e-6, -2e-6, 1e-6, 3e-6, 1e-6, -1e-6])
+    right = T @ retract(np.eye(4), small)
+    assert np.allclose(right, retract(T, adjoint(T) @ small), atol=1e-10)
+
+
+def test_composed_covariance_is_that_of_many_draws():
+    rng = np.random.default_rng(0)
+    T_a_b, T_b_c = random_pose(rng), random_pose(rng)
+    C_ab, C_bc = (np.diag(rng.uniform(1e-6, 4e-6, 6)) for _ in range(2))
+    errors = []
+    for _ in range(4000):
+        noisy = retract(T_a_b, rng.multivariate_normal(np.zeros(6), C_ab)) @ retract(
+            T_b_c, rng.multivariate_normal(np.zeros(6), C_bc)
+        )
+        E = noisy @ inverse(T_a_b @ T_b_c)
+        errors.append(np.concatenate((log_so3(E[:3, :3]), E[:3, 3])))
+    expected = compose_covariance(T_a_b, C_ab, C_bc)
+    drawn = np.cov(np.array(errors).T)
+    assert np.allclose(drawn, expected, atol=0.1 * np.abs(expected).max())
+
+
+def test_dlt_recovers_an_affine_map_from_four_points():
+    rng = np.random.default_rng(1)
+    H = np.eye(4)
+    H[:3] = rng.normal(0, 1, (3, 4))
+    p_b = rng.normal(0, 3, (4, 3)) + 100.0
+    assert np.allclose(dlt.affine(transform(H, p_b), p_b), H, atol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [0.01, 1.0, 100.0])
+def test_rigid_motion_is_recovered_at_any_scale(scale):
+    rng = np.random.default_rng(2)
+    T = random_pose(rng)
+    T[:3, 3] *= scale
+    p_b = scale * rng.normal(0, 1, (3, 3))
+    found = dlt.fit(transform(T, p_b), p_b)
+    assert found.model == "rigid"
+    assert np.allclose(found.T_a_b, T, atol=1e-6 * max(scale, 1))
+
+
+def test_points_on_a_line_determine_a_translation_only_and_say_so():
+    rng = np.random.default_rng(3)
+    p_b = np.outer(np.arange(5.0), [1.0, 2.0, 0.5])
+    found = dlt.fit(p_b + np.array([1.0, 2.0, 3.0]), p_b)
+    assert found.model == "translation"
+    assert "one line" in found.note
+    assert np.allclose(found.T_a_b[:3, 3], [1, 2, 3])
+    with pytest.raises(DegenerateGeometryError, match="one line"):
+        dlt.rigid(p_b, p_b + rng.normal(0, 1e-6, p_b.shape))
+
+
+def test_points_in_a_plane_step_down_to_a_rigid_motion():
+    rng = np.random.default_rng(4)
+    p_b = np.column_stack((rng.normal(0, 1, (6, 2)), np.zeros(6)))
+    T = random_pose(rng)
+    found = dlt.fit(transform(T, p_b), p_b)
+    assert found.model == "rigid"
+    assert "plane" in found.note
+    assert np.allclose(found.T_a_b, T, atol=1e-8)
+
+
+def test_one_wrong_correspondence_of_five_is_found_and_does_not_move_the_pose():
+    rng = np.random.default_rng(5)
+    T = random_pose(rng)
+    p_b = rng.normal(0, 2, (5, 3))
+    p_a = transform(T, p_b)
+    p_a[3] += [1.5, -1.0, 0.8]
+    found = dlt.fit(p_a, p_b, inlier_m=0.1)
+    assert list(found.inliers) == [True, True, True, False, True]
+    assert np.allclose(found.T_a_b, T, atol=1e-6)
+
+
+@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((3, 3), np.nan)])
+def test_no_or_impossible_points_raise(points):
+    with pytest.raises(DegenerateGeometryError):
+        dlt.fit(points, points)
+
+
+def test_mirrored_points_never_give_a_reflection():
+    rng = np.random.default_rng(6)
+    p = rng.normal(0, 1, (8, 3))
+    found = dlt.fit(p * [-1, 1, 1], p)
+    assert np.linalg.det(found.T_a_b[:3, :3]) == pytest.approx(1.0)
+
+
+def test_refinement_is_as_good_as_its_covariance_says():
+    rng = np.random.default_rng(7)
+    T_true = turned(20)
+    nees = []
+    for _ in range(40):
+        i, j = observed_pair(rng, T_true, 80)
+        matches = np.column_stack((np.arange(80), np.arange(80)))
+        found = refine(i, j, matches, retract(T_true, rng.normal(0, 0.02, 6)), estimate_noise=False)
+        E = T_true @ inverse(found.T_i_j)
+        xi = np.concatenate((log_so3(E[:3, :3]), E[:3, 3]))
+        nees.append(xi @ found.information @ xi / 6)
+    assert 0.5 < np.mean(nees) < 1.6
+
+
+def test_a_third_of_wrong_matches_does_not_move_the_refined_pose():
+    rng = np.random.default_rng(8)
+    T_true = turned(15)
+    i, j = observed_pair(rng, T_true, 120)
+    order = np.arange(120)
+    order[:40] = rng.permutation(40)
+    wrong = order != np.arange(120)
+    matches = np.column_stack((np.arange(120), order))
+    found = refine(i, j, matches, retract(T_true, np.full(6, 0.01)))
+    assert np.linalg.norm(found.T_i_j[:3, 3] - T_true[:3, 3]) < 0.05
+    assert found.inliers[~wrong].mean() > 0.9
+    assert found.inliers[wrong].mean() < 0.1
+
+
+def test_matches_with_depth_on_one_side_only_are_enough():
+    rng = np.random.default_rng(9)
+    T_true = turned(15)
+    i, j = observed_pair(rng, T_true, 60)
+    i.inverse_depth[::2] = np.nan
+    j.inverse_depth[1::2] = np.nan
+    matches = np.column_stack((np.arange(60), np.arange(60)))
+    found = refine(i, j, matches, retract(T_true, np.full(6, 0.01)))
+    assert np.linalg.norm(found.T_i_j[:3, 3] - T_true[:3, 3]) < 0.15
+    i.inverse_depth[:] = j.inverse_depth[:] = np.nan
+    with pytest.raises(DegenerateGeometryError, match="need 3"):
+        refine(i, j, matches, T_true)
+
+
+NOISE = PointNoise(0.5, (0.0, 0.0, 0.001))
+
+
+def grid(z_of) -> tuple[np.ndarray, np.ndarray]:
+    v, u = np.mgrid[200:240, 300:340]
+    uv = np.column_stack((u.ravel(), v.ravel())).astype(float)
+    return uv, z_of(uv)
+
+
+def test_lifting_never_takes_a_mean_across_a_depth_edge():
+    uv, z = grid(lambda uv: np.where(uv[:, 0] < 320, 2.0, 5.0))
+    for u in np.linspace(316, 324, 33):
+        lifted = lift_pixel(np.array([u, 220.0]), uv, z, K, NOISE, 2.0)
+        assert min(abs(lifted.p[2] - 2.0), abs(lifted.p[2] - 5.0)) < 1e-6
+
+
+def test_lifting_follows_a_slanted_plane_between_the_points():
+    uv, z = grid(lambda uv: 1.0 / (0.4 + 0.0005 * (uv[:, 0] - 320)))
+    lifted = lift_pixel(np.array([317.4, 222.7]), uv, z, K, NOISE, 2.0)
+    assert lifted.p[2] == pytest.approx(1.0 / (0.4 + 0.0005 * (317.4 - 320)), rel=1e-4)
+    assert lifted.C[2, 2] > lifted.C[0, 0]
+
+
+def test_no_depth_says_how_far_the_nearest_point_is():
+    uv, z = grid(lambda uv: np.full(len(uv), 3.0))
+    with pytest.raises(DegenerateGeometryError, match="12 px away"):
+        lift_pixel(np.array([351.0, 220.0]), uv, z, K, NOISE, 2.0)
+    with pytest.raises(DegenerateGeometryError, match="no depth anywhere"):
+        lift_pixel(np.array([351.0, 220.0]), uv[:0], z[:0], K, NOISE, 2.0)
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10_000), st.integers(3, 40), st.integers(3, 40))
+def test_ratio_matches_are_mutual_and_one_to_one(seed, n, m):
+    cosines = np.random.default_rng(seed).uniform(-1, 1, (n, m)).astype(np.float32)
+    matches = ratio_matches(cosines.copy(), 0.95)
+    assert len(np.unique(matches[:, 0])) == len(np.unique(matches[:, 1])) == len(matches)
+    for a, b in matches:
+        assert cosines[a].argmax() == b and cosines[:, b].argmax() == a
+
+
+def test_one_to_one_keeps_the_best():
+    matches = np.array([[0, 0], [0, 1], [1, 1], [2, 1]])
+    kept = one_to_one(matches, np.array([0.5, 0.9, 0.8, 0.1]))
+    assert {tuple(m) for m in kept} == {(0, 1)}
+
+
+def test_angle_by_chord_is_exact_for_tiny_turns():
+    assert rotation_angle(exp_so3(np.array([1e-9, 0, 0]))) == pytest.approx(1e-9, rel=1e-3)
