@@ -40,7 +40,7 @@ class KeptView:
         payload: the encoded `View`.
         received_s: the server's monotonic clock.
         signature_uv: (S, 2) pixels of the signature's points.
-        signature: (S, D) float32 unit descriptors of the strongest salient points, to guess which
+        signature: (S, D) uint8 descriptors of the strongest salient points, to guess which
             views are alike.
     """
 
@@ -52,7 +52,7 @@ class KeptView:
     median_depth_m: float
     has_image: bool
     up_camera: npt.NDArray[np.float64] | None
-    signature: npt.NDArray[np.float32]
+    signature: npt.NDArray[np.uint8]
     signature_uv: npt.NDArray[np.float32]
 
     @property
@@ -75,8 +75,6 @@ def open_view(payload: bytes, encoding: str | None, now_s: float) -> KeptView:
         )
     salient = decode_salient(view.salient)
     strongest = np.flatnonzero(np.isfinite(salient.inverse_depth))[:_SIGNATURE_POINTS]
-    signature = salient.descriptors[strongest].astype(np.float32)
-    norms = np.maximum(np.linalg.norm(signature, axis=1, keepdims=True), 1e-6)
     return KeptView(
         name=view.name,
         payload=payload,
@@ -86,7 +84,7 @@ def open_view(payload: bytes, encoding: str | None, now_s: float) -> KeptView:
         median_depth_m=float(np.median(points.xyz[:, 2])),
         has_image=view.has_image,
         up_camera=view.up_camera,
-        signature=signature / norms,
+        signature=salient.descriptors[strongest],
         signature_uv=salient.uv[strongest],
     )
 
@@ -113,7 +111,13 @@ def stands_still(a: KeptView, b: KeptView) -> bool:
 def _clear_matches(a: KeptView, b: KeptView) -> npt.NDArray[np.int64]:
     if min(len(a.signature), len(b.signature)) < 3:
         return np.zeros((0, 2), np.int64)
-    return ratio_matches(a.signature @ b.signature.T, _SIGNATURE_RATIO)
+    cosines = _unit(a.signature) @ _unit(b.signature).T
+    return ratio_matches(cosines, _SIGNATURE_RATIO)
+
+
+def _unit(descriptors: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    vectors = descriptors.astype(np.float32)
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-6)
 
 
 def lift_click(kept: KeptView, pixel: npt.NDArray[np.float64]) -> LiftedPoint:

@@ -88,6 +88,16 @@ def run(
     if end_with_parent:
         agent.end_with_parent(parent, stop)
     agent.run_agent(loaded, stop)
+    _leave()
+
+
+def _leave() -> None:
+    """Ends at once where a view is still being worked on: the interpreter must not pull the rug
+    from under OpenCV, and nobody waits for that view any more.
+    """
+    if any(thread.name.startswith("sender ") for thread in threading.enumerate()):
+        logging.shutdown()
+        os._exit(0)
 
 
 def main() -> None:
