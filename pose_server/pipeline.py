@@ -180,6 +180,7 @@ def _click_job(site: Site) -> Job | None:
         record.clicks_due = False
         found = clicks_between(site, a, b)
         if found is None:
+            _unlink_operator(site, a, b)
             continue
         views, clicks = found
         i, j = views
@@ -350,8 +351,17 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
     if _is_better(done.result, record.best):
         record.best, record.best_views = done.result, (i, j)
     at_i, at_j = site.attached(i), site.attached(j)
+    if done.job.purpose == "clicks" and not accepted(done.result):
+        _unlink_operator(site, i.robot, j.robot)
     if accepted(done.result) and at_i is not None and at_j is not None:
         _link_pair(site, at_i, at_j, done)
+
+
+def _unlink_operator(site: Site, a: str, b: str) -> None:
+    """Takes back what grew from correspondences that are gone or that nothing confirms any more."""
+    for key, edge in list(site.edges.items()):
+        if edge.operator and {edge.a.robot, edge.b.robot} == {a, b}:
+            site.unlink(key)
 
 
 def _link_pair(site: Site, i: Attached, j: Attached, done: Done) -> None:

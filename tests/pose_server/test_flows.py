@@ -227,6 +227,14 @@ def test_a_skipped_pair_waits_for_the_operator_whose_clicks_come_first():
     assert pipeline.judge_correspondences(site) == [("r1", "r2")]
     assert {kept.item.status for kept in site.book.of("r1", "r2")} == {"accepted"}
 
+    clear = OperatorUpdate(
+        operator="op", session="a" * 12, n=4, action="clear", i="r1", j="r2", base_revision=3
+    )
+    (cleared,) = pipeline.receive_update(site, clear)
+    assert cleared.accepted, cleared.reason
+    assert work_off(site) == []
+    assert site.relative(named(0, "r1"), named(0, "r2")) is None
+
 
 def test_clicks_on_an_unknown_view_or_without_depth_are_rejected_with_the_reason():
     T_true = turned(15)
