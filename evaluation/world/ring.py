@@ -19,7 +19,7 @@ HFOV_DEG = 62.0
 BASELINE_SHARE = 0.05
 MAX_SEPARATION_DEG = 45.0
 _DEMO_SEPARATIONS_DEG = (45.0, 40.0, 30.0, 45.0, 35.0)
-_FIRST_AZIMUTH_DEG = 20.0
+_FIRST_AZIMUTH_DEG = 200.0
 
 # Noise of a small camera, and how far exposures of two eyes and two robots differ.
 GREY_SIGMA = 1.5

@@ -21,6 +21,7 @@ child.wait()
 """
 PARENT = """
 import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job starts with it ignored
 from pathlib import Path
 from deploy.local_fleet import LocalFleet
 with LocalFleet(Path(sys.argv[1])) as fleet:
