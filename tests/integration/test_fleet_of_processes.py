@@ -23,6 +23,7 @@ from protocol.transport import wait_until
 RADIUS_M = 10.0
 FIRST_POSE_S = 60.0
 CLICK_S = 10.0
+CLICKS = 6  # a pixel beside a depth edge lifts to another surface: a few may be wrong
 
 
 @contextmanager
@@ -81,7 +82,7 @@ def test_frames_become_poses_of_the_whole_fleet(tmp_path):
 
 
 @pytest.mark.timeout(240)
-def test_three_clicks_join_a_skipped_pair_and_survive_a_killed_server(tmp_path):
+def test_clicks_join_a_skipped_pair_and_survive_a_killed_server(tmp_path):
     with running(tmp_path, 2, skip="r1 r2\n") as (fleet, observer):
         assert wait_until(lambda: pose(observer, "r1") and pose(observer, "r2"), FIRST_POSE_S)
         assert not joined(observer, "r1", "r2")
@@ -109,13 +110,18 @@ def test_three_clicks_join_a_skipped_pair_and_survive_a_killed_server(tmp_path):
                 ),
                 FIRST_POSE_S,
             ), fleet.tail("server")
-            assert wait_until(lambda: kept and len(kept[-1].items) == 3, CLICK_S)
+            assert wait_until(lambda: kept and len(kept[-1].items) == CLICKS, CLICK_S)
         finally:
             link.close()
 
 
+def min_distance(uv: np.ndarray) -> float:
+    apart = np.linalg.norm(uv[:, None] - uv[None], axis=2)
+    return float(apart[~np.eye(len(uv), dtype=bool)].min())
+
+
 def true_clicks(observer: Observer, folder: Path, fleet: LocalFleet) -> list[str]:
-    """Three points far apart that both robots see, with a pixel of noise, as the command takes
+    """Points far apart that both robots see, with a pixel of noise, as the command takes
     them.
     """
     from evaluation.truth import WorldTruth
@@ -124,9 +130,9 @@ def true_clicks(observer: Observer, folder: Path, fleet: LocalFleet) -> list[str
     views = [observer.view(pose(observer, robot).view) for robot in ("r1", "r2")]
     uv_i, uv_j = truth.correspondences(*views)
     rng = random.Random(0)
-    triples = [rng.sample(range(len(uv_i)), 3) for _ in range(300)]
-    best = max(triples, key=lambda t: abs(np.linalg.det(np.column_stack((uv_i[t], np.ones(3))))))
-    noise = [rng.gauss(0, 0.7) for _ in range(12)]
+    samples = [rng.sample(range(len(uv_i)), CLICKS) for _ in range(300)]
+    best = max(samples, key=lambda t: min_distance(uv_i[t]))
+    noise = [rng.gauss(0, 0.7) for _ in range(4 * CLICKS)]
     return [
         ",".join(f"{value + noise[4 * k + n]:.1f}" for n, value in enumerate((*uv_i[t], *uv_j[t])))
         for k, t in enumerate(best)
