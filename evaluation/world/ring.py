@@ -54,7 +54,8 @@ class RingWorld:
         robots: how many.
         separation_deg: between neighbours; without one they vary, at most 45 degrees. A ring that
             closes is evened out.
-        radius_m: of the ring; the rotunda's walls are 3 m from the middle, other things up to 7 m.
+        radius_m: of the ring; the rotunda's walls are 2.4 m from the middle, other things up to
+            5.5 m.
         seed: of textures, headings and noise.
         moving: the robots walk slowly along the ring.
 

@@ -169,7 +169,7 @@ class _Rectifier:
         self._maps: list[tuple[npt.NDArray, npt.NDArray]] = []
         if rig.is_rectified:
             return
-        R, t = rig.T_right_left[:3, :3], rig.T_right_left[:3, 3]
+        R, t = rig.T_right_left[:3, :3], rig.T_right_left[:3, 3:]
         R_rect_left, R_rect_right, P_left, P_right = cv2.stereoRectify(
             rig.K_left, rig.D_left, rig.K_right, rig.D_right, rig.size, R, t,
             flags=cv2.CALIB_ZERO_DISPARITY, alpha=0,

@@ -79,6 +79,30 @@ def test_an_unknown_robot_is_told_so_and_others_go_on(served):
     open_camera(f"127.0.0.1:{served}/r1", "once").close()
 
 
+@pytest.mark.parametrize(
+    "request_line", [b"garbage", b"[]", b'{"robot": ["r1"]}', b"\xff\xfe", b"[" * 4000]
+)
+def test_a_bad_request_is_answered_with_an_error(served, request_line):
+    with socket.create_connection(("127.0.0.1", served), timeout=10) as connection:
+        connection.sendall(request_line + b"\n")
+        assert "no robot" in json.loads(connection.makefile("rb").readline())["error"]
+
+
+def test_a_camera_whose_world_has_gone_says_so(world):
+    server = WorldServer(("127.0.0.1", 0), world, None)
+    thread = threading.Thread(target=server.handle_request)
+    thread.start()
+    camera = open_camera(f"127.0.0.1:{server.server_address[1]}/r1", "once")
+    try:
+        thread.join()
+        server.server_close()
+        camera._link._socket.shutdown(socket.SHUT_RDWR)
+        with pytest.raises(UnreachableError, match="has gone"):
+            next(camera.frames())
+    finally:
+        camera.close()
+
+
 def test_the_truth_file_is_whole_and_holds_all_robots(world, tmp_path):
     write_truth(world, tmp_path / "truth")
     truth = json.loads((tmp_path / "truth").read_text())
