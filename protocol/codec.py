@@ -27,6 +27,12 @@ def encoding_of(message_type: type[Message]) -> str:
     return f"application/msgpack;{message_type.schema_name}"
 
 
+def _readable(message_type: type[Message]) -> tuple[str, ...]:
+    """This version and the one before."""
+    names = (message_type.schema_name, message_type.schema_before)
+    return tuple(f"application/msgpack;{name}" for name in names if name is not None)
+
+
 def pack(message: Message) -> bytes:
     """Encodes a message of `protocol.messages`."""
     return cast(bytes, msgpack.packb(message.model_dump(), default=_pack_array, use_bin_type=True))
@@ -43,7 +49,7 @@ def unpack(message_type: type[M], payload: bytes, encoding: str | None = None) -
     Raises:
         CodecError: the bytes are no such message, for whatever reason.
     """
-    if encoding is not None and encoding != encoding_of(message_type):
+    if encoding is not None and encoding not in _readable(message_type):
         raise CodecError(f"encoding '{encoding[:80]}', expected '{encoding_of(message_type)}'")
     if len(payload) > MAX_MESSAGE_BYTES:
         raise CodecError(f"{len(payload)} bytes, at most {MAX_MESSAGE_BYTES} are read")

@@ -13,15 +13,8 @@ from pydantic import Field, model_validator
 
 from protocol.arrays import Matrix3, Matrix6, Pixel, Pose, Vector3
 from protocol.base import Message
-from protocol.keys import NAME_PATTERN
+from protocol.fields import Count, Epoch, Name, NonNegative, Positive, Text
 
-Name = Annotated[str, Field(pattern=NAME_PATTERN)]
-Epoch = Annotated[str, Field(pattern=r"^[0-9a-f]{12}$")]
-Count = Annotated[int, Field(ge=0, lt=2**63)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Text = Annotated[str, Field(max_length=2000)]
 Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
 
 
@@ -347,8 +340,8 @@ class RobotState(Message, frozen=True, schema="fleet.robot_state.v1"):
     why_not: Text = Field(description="why it is not located; empty if it is")
 
 
-class FleetState(Message, frozen=True, schema="fleet.state.v1"):
-    """`fleet/state`: everything a late client needs, at a steady rate."""
+class FleetState(Message, frozen=True, schema="fleet.state.v2", before="fleet.state.v1"):
+    """`fleet/state`: everything a late client needs, at a steady rate. v2 tells what is pinned."""
 
     server_epoch: Epoch
     n: Count
@@ -360,6 +353,9 @@ class FleetState(Message, frozen=True, schema="fleet.state.v1"):
     pairs: tuple[PairCell, ...]
     questions: tuple[Question, ...]
     events: tuple[Text, ...] = Field(description="the newest 20, oldest first")
+    pinned: tuple[ViewName, ...] = Field(
+        default=(), description="selected views that the server keeps: clicks in them will count"
+    )
 
 
 class ServerStatus(Message, frozen=True, schema="fleet.status.v1"):
