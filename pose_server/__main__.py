@@ -35,6 +35,10 @@ def run(
         Path | None, typer.Option(help="Lines 'r1 r2': pairs left to the operator.")
     ] = None,
     anchor: Annotated[str | None, typer.Option(help="Robot at the fleet's origin.")] = None,
+    takeover: Annotated[
+        bool | None,
+        typer.Option("--takeover", help="Start even if another server of the site is alive."),
+    ] = None,
     dump_config: Annotated[bool, typer.Option(help="Print the settings and end.")] = False,
 ) -> None:
     """Runs the pose server. With neither --listen nor --connect it is its own router on port

@@ -1,10 +1,9 @@
 """The two flows, free of I/O and clocks: what becomes of a view, and what becomes of a click.
 
 A view: `receive_view` -> `next_job` (follow it on its robot's keyframes, then the most promising
-    pair) ~~ a worker
-aligns ~~ `take_result` -> `solve`. A click: `receive_update` (validated, lifted, journalled) ->
-`next_job` (first in line) ~~ a worker aligns ~~ `take_result` -> `solve`. The shell publishes what
-changed.
+pair) ~~ a worker aligns ~~ `take_result` -> `solve`. A click: `receive_update` (validated, lifted,
+journalled) -> `next_job` (first in line) ~~ a worker aligns ~~ `take_result` -> `solve`. The shell
+publishes what changed.
 """
 
 from collections.abc import Sequence
@@ -15,29 +14,72 @@ from pose_server.clicks import click_factors, clicks_between, judge
 from pose_server.correspondences.book import Outcome
 from pose_server.fleet.graph import solve_fleet
 from pose_server.fleet.types import Edge, SolveSettings
+from pose_server.following import back_job, followed, look_back, newest_arrived, track_job
 from pose_server.pairs.align import Start
-from pose_server.pairs.candidates import candidate_views, offer_keyframe, weights
+from pose_server.pairs.candidates import offer_keyframe, weights
 from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.judging import PairResult
-from pose_server.pairs.tracking import Attached, accepted, moved
-from pose_server.site import Robot, RobotPair, Site, on_keyframes
-from pose_server.views import STILL_PX, KeptView, lift_click, stands_still
-from protocol.messages import OperatorUpdate, ViewName
-
-MAX_KEYFRAMES = 40
+from pose_server.pairs.tracking import Attached, accepted
+from pose_server.site import RobotPair, Site, on_keyframes
+from pose_server.views import KeptView, lift_click
+from protocol.errors import CodecError
+from protocol.messages import OperatorUpdate, Selection, ViewName
 
 
 def receive_view(site: Site, view: KeptView) -> None:
-    """Keeps a view; the newest one of each robot waits to be followed."""
-    robot = site.robot(view.name.robot)
+    """Takes a view of a live robot: keeps it, and follows it if it is the robot's newest.
+
+    A view whose robot's token was not seen yet waits for it; one of a life that is over is refused.
+
+    Raises:
+        CodecError: another life of the robot is the live one.
+    """
+    robot = site.robots.get(view.name.robot)
+    if robot is None or robot.epoch is None:
+        site.hold_back(view)
+        return
+    if view.name.epoch != robot.epoch:
+        raise CodecError(f"view of a life that is over: '{robot.name}' lives in {robot.epoch}")
+    before = robot.newest
     site.views.keep(view)
     site.count("views")
-    robot.newest = robot.waiting = view.name
-    if not robot.track.keyframes:
-        robot.waiting = None
-        _new_keyframe(site, robot, view.name)
-    elif _stayed(site, robot, view):
-        robot.waiting = None
+    if before is None or before.epoch != view.name.epoch or before.seq < view.name.seq:
+        site.note_change(robot, view)
+        newest_arrived(site, robot, view)
+
+
+def receive_fetched(site: Site, view: KeptView) -> None:
+    """Keeps a view that was asked of its robot because an operator looks at it."""
+    if view.name not in site.views:
+        site.views.keep(view)
+        site.count("views_fetched")
+    if view.name in site.held():
+        look_back(site, view.name)
+
+
+def receive_token(site: Site, name: str, epoch: str, alive: bool) -> None:
+    """A robot shows itself, or is gone; what came before its token is taken now."""
+    robot = site.robot(name)
+    was = robot.epoch
+    robot.epochs = [known for known in robot.epochs if known != epoch]
+    if alive:
+        robot.epochs.append(epoch)
+    elif robot.epoch is None and robot.newest is None:
+        del site.robots[name]  # it never showed anything
+    if robot.epoch != was:
+        site.say(f"{name} is here" if robot.epoch else f"{name} is gone")
+    view = site.held_back.pop(name, None)
+    if view is not None and robot.epoch == view.name.epoch:
+        receive_view(site, view)
+
+
+def receive_selection(site: Site, selection: Selection, now_s: float) -> list[ViewName]:
+    """Pins the views that an operator holds on the screen; returns those that are not kept."""
+    views = tuple(view for view in (selection.view_i, selection.view_j) if view is not None)
+    site.pin((selection.operator, selection.session), views, now_s)
+    for view in views:
+        look_back(site, view)
+    return [view for view in views if view not in site.views]
 
 
 def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
@@ -54,20 +96,22 @@ def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
         if outcome.accepted:
             site.pair(*outcome.pair).clicks_due = True
             site.dirty = True
+            for view in outcome.views:
+                look_back(site, view)
     return outcomes
 
 
 def next_job(site: Site, now_s: float) -> Job | None:
-    """What to align next: the operator's pairs, then the robots' own motion, then the pair whose
-    turn it is.
+    """What to align next: what an operator clicked and looks at, then the robots' own motion, then
+    the pair whose turn it is.
     """
-    if (job := _click_job(site)) is not None:
+    if (job := _click_job(site) or back_job(site)) is not None:
         return job
     site.pair_is_due = not site.pair_is_due
     joining = _pair_job(site, now_s, joining=True) if site.pair_is_due else None
     return (
         joining
-        or _track_job(site)
+        or track_job(site)
         or _pair_job(site, now_s, joining=True)
         or _pair_job(site, now_s, joining=False)
     )
@@ -76,7 +120,7 @@ def next_job(site: Site, now_s: float) -> Job | None:
 def take_result(site: Site, done: Done, now_s: float) -> None:
     """Files an alignment: as a robot's own motion, or between two robots."""
     if done.job.purpose == "track":
-        _followed(site, done)
+        followed(site, done)
     else:
         _paired(site, done, now_s)
 
@@ -194,124 +238,6 @@ def _click_job(site: Site) -> Job | None:
             clicks=clicks,
         )
     return None
-
-
-def _track_job(site: Site) -> Job | None:
-    waiting = [robot for robot in site.robots.values() if robot.waiting and robot.tracking is None]
-    if not waiting:
-        return None
-    robot = min(waiting, key=lambda r: _followed_s(site, r))
-    view, robot.waiting = robot.waiting, None
-    assert view is not None
-    return _follow(site, robot, view)
-
-
-def _followed_s(site: Site, robot: Robot) -> float:
-    """When the newest view that hangs somewhere was received: who lags most is next."""
-    newest = robot.track.newest
-    kept = None if newest is None else site.views.get(newest.view)
-    return -np.inf if kept is None else kept.received_s
-
-
-def _follow(site: Site, robot: Robot, view: ViewName) -> Job | None:
-    """The next try to hang a view on one of its robot's keyframes."""
-    keyframe = robot.track.next_try(view, lambda: candidate_views(site, robot, view))
-    if keyframe is None or keyframe not in site.views:
-        robot.tracking = None
-        if robot.track.give_up(view) == "segment":
-            site.say(f"{robot.name} lost track of itself: its view {view.seq} begins a new segment")
-        _new_keyframe(site, robot, view)
-        return None
-    robot.tracking = view
-    starts: tuple[Start, ...] = ()
-    if robot.track.newest is not None and robot.track.newest.keyframe == keyframe:
-        starts = (Start("previous", robot.track.newest.T_keyframe_view, 0.03),)
-    return Job("track", site.views[keyframe].encoded, site.views[view].encoded, starts)
-
-
-def _stayed(site: Site, robot: Robot, view: KeptView) -> bool:
-    """Hangs a view on the reference without a worker where no pixel moved."""
-    reference = robot.track.reference
-    if reference is None or reference not in site.views:
-        return False
-    if not stands_still(site.views[reference], view):
-        return False
-    sigma_rad = STILL_PX / float(view.camera.K[0, 0])
-    robot.track.stay(view.name, reference, sigma_rad, sigma_rad * view.median_depth_m)
-    return True
-
-
-def _followed(site: Site, done: Done) -> None:
-    view, keyframe = done.job.j.name, done.job.i.name
-    robot = site.robot(view.robot)
-    robot.tracking = None
-    if view not in site.views or keyframe not in site.views:
-        return
-    step = "try"
-    if done.result is not None:
-        depth = site.views[view].median_depth_m
-        nearer = _nearer_keyframe(site, robot, keyframe, done.result, depth)
-        step = robot.track.take(view, keyframe, done.result, depth, nearer)
-    if step == "keyframe":
-        _new_keyframe(site, robot, view)
-    elif step == "try" and robot.waiting is None:
-        robot.waiting = view
-    elif step == "try":
-        site.count("views_overtaken")
-    if step == "attached" and site.solution is not None:
-        node = site.solution.nodes.get(robot.track.attached[view].keyframe)
-        site.dirty |= node is None or node.covariance is None
-
-
-def _nearer_keyframe(
-    site: Site, robot: Robot, keyframe: ViewName, result: PairResult, depth_m: float
-) -> ViewName | None:
-    """Another keyframe of the robot that a view is near to, judged by the solution."""
-    if not accepted(result) or result.T_i_j is None:
-        return None
-    near: list[tuple[float, ViewName]] = []
-    for other in robot.track.keyframes:
-        T = None if other == keyframe else site.relative(other, keyframe)
-        if T is not None:
-            near.append((moved(T @ result.T_i_j, depth_m), other))
-    distance, other = min(near, default=(np.inf, None), key=lambda pair: pair[0])
-    return other if distance < 0.8 else None
-
-
-def _new_keyframe(site: Site, robot: Robot, view: ViewName) -> None:
-    """Makes a view a keyframe, links it to the one it was aligned with, and offers it to the other
-    robots.
-    """
-    link = robot.track.link_of(view)
-    robot.track.begin(view)
-    if link is not None:
-        site.link(
-            Edge(
-                link.keyframe, view, link.T_keyframe_view, link.covariance, link.verdict, "odometry"
-            )
-        )
-    offer_keyframe(site, view)
-    site.dirty = True
-    if len(robot.track.keyframes) > MAX_KEYFRAMES:
-        _drop_keyframe(site, robot)
-
-
-def _drop_keyframe(site: Site, robot: Robot) -> None:
-    """Forgets the oldest keyframe that nothing important hangs on."""
-    clicked = {site.attached(view) for view in site.book.views()}
-    kept = {here.keyframe for here in clicked if here is not None}
-    kept |= {site.gauge, robot.track.reference}
-    oldest = next((view for view in robot.track.keyframes if view not in kept), None)
-    if oldest is None:
-        return
-    robot.track.forget({oldest})
-    for key in [key for key in site.edges if oldest in key[:2]]:
-        site.unlink(key)
-    site.similarities = {v: like for v, like in site.similarities.items() if oldest not in v}
-    for record in site.pairs.values():
-        record.untried = {
-            views: like for views, like in record.untried.items() if oldest not in views
-        }
 
 
 def _pair_job(site: Site, now_s: float, joining: bool) -> Job | None:

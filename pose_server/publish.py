@@ -215,6 +215,7 @@ def fleet_state(site: Site, settings: ServerSettings, stamp: Stamp, n: int) -> F
         pairs=pair_cells(site, stamp.now_s),
         questions=questions(site),
         events=tuple(site.events),
+        pinned=site.pinned(),
     )
 
 

@@ -6,26 +6,30 @@ Callbacks only store. One thread reads what was stored, runs the two flows of
 
 import logging
 import queue
-import resource
 import signal
 import threading
 import time
 from collections.abc import Callable
-from importlib.metadata import version
+from concurrent.futures import Future
 
 from pose_server import pipeline, publish
-from pose_server.correspondences.journal import Journal
+from pose_server.awaiting import Awaiting
+from pose_server.correspondences.book import Outcome
+from pose_server.correspondences.journal import Journal, StoredView
 from pose_server.correspondences.records import JournalError
-from pose_server.inbox import Inbox, Refused, Selected, TokenSeen, Updated, Wake
+from pose_server.fetching import Fetched, Fetcher
+from pose_server.inbox import Asked, Inbox, Refused, Selected, TokenSeen, Updated, Wake
 from pose_server.pairs.engine import Done, Engine
 from pose_server.publish import Stamp
 from pose_server.settings import ServerSettings
 from pose_server.site import Site
+from pose_server.status import Load, server_status
 from pose_server.views import open_view
-from protocol.codec import encoding_of, pack
-from protocol.errors import CodecError
+from protocol.codec import encoding_of, pack, unpack
+from protocol.errors import CodecError, FleetPoseError, NameRefusedError
 from protocol.keys import Keys, new_epoch, ordered_pair
-from protocol.messages import ServerStatus
+from protocol.messages import KeptView, OperatorUpdate, View, ViewName
+from protocol.presence import Presence
 from protocol.transport import Answer, Link, Publisher, Sample
 
 log = logging.getLogger("pose_server")
@@ -34,6 +38,8 @@ _TICK_S = 0.05
 _PRUNE_S = 2.0
 _STATUS_S = 1.0
 _SOLVE_SHARE = 0.25  # of the server's own thread that solving may take
+_STATE_SHARE = 0.1  # and making the fleet's state
+_ANSWER_S = 2.0
 
 
 class Service:
@@ -49,19 +55,34 @@ class Service:
         self._publishers: dict[str, Publisher] = {}
         self._clouds = link.on_bulk(self.keys.cloud("*"), lambda: self._queue.put(Wake()))
         self._engine = Engine(settings.workers, self._queue.put)
-        self._began_s = time.monotonic()
+        self._fetcher = Fetcher(self.keys, link.query, self._queue.put)
+        self._awaiting = Awaiting(self._fetcher.ask)
+        self._load = Load(time.monotonic())
         self._numbers: dict[str, int] = {}
         self._next: dict[str, float] = {}
         self._solved_s = self._solve_took_s = 0.0
         self._saw_newest: dict[str, object] = {}
         self._noted_anchor = site.anchor
         self._unclicked = False
+        self._imaged: set[ViewName] = set()
 
     def run(self) -> None:
-        """Serves until stopped."""
+        """Serves until stopped.
+
+        Raises:
+            NameTakenError: another server of the site is alive, or has taken it over.
+        """
+        presence = Presence(
+            self.link,
+            everybody=self.keys.server_alive("*"),
+            mine=self.keys.server_alive(self.epoch),
+            who=f"a pose server of site '{self.settings.site}'",
+            remedy="end that server, choose another --site, or start with --takeover",
+            takeover=self.settings.takeover,
+        )
         self._inbox.subscribe(self.link)
-        self.link.queryable(self.keys.relative, self._relative)
-        self.link.token(self.keys.server_alive(self.epoch))
+        self.link.queryable(self.keys.relative, self._ask)
+        self.link.queryable(self.keys.server_view, self._journalled_view)
         self.site.say(f"server {self.epoch} started with {self.settings.workers} workers")
         log.info(
             "serving site=%s epoch=%s workers=%d",
@@ -71,6 +92,7 @@ class Service:
         )
         self._publish_all_correspondences()
         while not self.stopped.is_set():
+            presence.check()
             self._read_events()
             self._read_clouds()
             self._start_jobs()
@@ -80,6 +102,7 @@ class Service:
 
     def close(self) -> None:
         """Ends the workers and the session."""
+        self._fetcher.close()
         self._engine.close()
         self.link.close()
         self.journal.close()
@@ -99,12 +122,18 @@ class Service:
             case Done():
                 self._finished(event)
             case Updated():
-                self._updated(event)
+                self._updated(event.update)
             case Selected():
-                views = tuple(v for v in (event.selection.view_i, event.selection.view_j) if v)
-                self.site.selections[event.selection.operator] = views
+                now_s = time.monotonic()
+                for view in pipeline.receive_selection(self.site, event.selection, now_s):
+                    if self._lives(view):
+                        self._fetcher.ask(view)
+            case Fetched():
+                self._fetched(event)
             case TokenSeen():
-                self._token(event)
+                pipeline.receive_token(self.site, event.robot, event.epoch, event.alive)
+            case Asked():
+                event.answer.set_result(self._relative(event.parameters))
             case Refused():
                 self._refuse(event.sample, event.error)
             case _:
@@ -121,11 +150,10 @@ class Service:
             try:
                 view = open_view(sample.payload, sample.encoding, time.monotonic())
                 if self.keys.chunks(sample.key)[1] != view.name.robot:
-                    raise CodecError(f"view of '{view.name.robot}' under another robot's key")
-            except CodecError as error:
+                    raise CodecError("view under another robot's key")
+                pipeline.receive_view(self.site, view)
+            except (CodecError, NameRefusedError) as error:
                 self._refuse(sample, error)
-                continue
-            pipeline.receive_view(self.site, view)
 
     def _start_jobs(self) -> None:
         while self._engine.idle > 0:
@@ -158,8 +186,11 @@ class Service:
                 "; ".join(done.result.reasons),
             )
 
-    def _updated(self, event: Updated) -> None:
-        update = event.update
+    def _updated(self, update: OperatorUpdate) -> None:
+        views = {view for view in (update.view_i, update.view_j) if view is not None}
+        missing = {view for view in views if view not in self.site.views and self._lives(view)}
+        if missing and self._awaiting.parks(update, missing):
+            return
         try:
             outcomes = pipeline.receive_update(self.site, update)
         except JournalError as error:  # nothing happened: the operator's client will repeat it
@@ -172,12 +203,38 @@ class Service:
         self._put(self.keys.receipts(update.operator), self.site.book.receipts(update, self.epoch))
         for pair in {ordered_pair(update.i, update.j), *(outcome.pair for outcome in outcomes)}:
             self._publish_correspondences(pair)
+        self._ask_for_images(outcomes)
         self._next["solve"] = 0.0
 
-    def _token(self, event: TokenSeen) -> None:
-        robot = self.site.robot(event.robot)
-        (robot.epochs.add if event.alive else robot.epochs.discard)(event.epoch)
-        self.site.say(f"{event.robot} {'is here' if event.alive else 'is gone'}")
+    def _lives(self, view: ViewName) -> bool:
+        """Whether the robot that took a view is there and may still have it."""
+        robot = self.site.robots.get(view.robot)
+        return robot is not None and robot.epoch == view.epoch
+
+    def _ask_for_images(self, outcomes: list[Outcome]) -> None:
+        """The images of clicked views are journalled, so that the clicks can be shown for ever."""
+        for view in {view for outcome in outcomes for view in outcome.views}:
+            if view not in self._imaged and self._lives(view):
+                self._imaged.add(view)
+                self._fetcher.ask(view)
+
+    def _fetched(self, fetched: Fetched) -> None:
+        """Keeps a view that its robot was asked for, and goes on with the clicks in it."""
+        kept, refused = fetched.kept, fetched.reason
+        if kept is not None and fetched.name not in self.site.views:
+            try:
+                view = open_view(pack(kept.view), None, time.monotonic())
+                pipeline.receive_fetched(self.site, view)
+            except CodecError as error:
+                refused = str(error)
+        for update in self._awaiting.answered(fetched.name, refused):
+            self._updated(update)
+        if kept is not None and kept.jpeg and fetched.name in self.site.book.views():
+            encoded = self.site.views[fetched.name].payload
+            try:
+                self.journal.keep_view(StoredView(fetched.name, encoded, kept.jpeg, kept.image))
+            except JournalError as error:
+                log.error("image of %s not recorded: %s", fetched.name, error)
 
     def _solve_if_due(self) -> None:
         now = time.monotonic()
@@ -217,14 +274,21 @@ class Service:
 
     def _publish_steadily(self) -> None:
         if self._due("state", 1.0 / self.settings.state_hz):
-            n = self._count_up("state")
-            self._put(
-                self.keys.state, publish.fleet_state(self.site, self.settings, self._stamp(), n)
-            )
+            self._publish_state()
         if self._due("status", _STATUS_S):
-            self._put(self.keys.status, self._status())
+            drops = {**self._inbox.drops, "newer_view": self._clouds.replaced}
+            status = server_status(self.site, self._engine, self._load, self._stamp(), drops)
+            self._put(self.keys.status, status)
         if self._due("prune", _PRUNE_S):
             self._prune()
+
+    def _publish_state(self) -> None:
+        n = self._count_up("state")
+        began_s = time.monotonic()
+        state = publish.fleet_state(self.site, self.settings, self._stamp(), n)
+        self._put(self.keys.state, state)
+        took_s = time.monotonic() - began_s
+        self._next["state"] = max(self._next["state"], began_s + took_s / _STATE_SHARE)
 
     def _prune(self) -> None:
         """Lets go of views that are old and that nothing holds."""
@@ -253,8 +317,17 @@ class Service:
     def _publish_correspondences(self, pair: tuple[str, str]) -> None:
         self._put(self.keys.correspondences(*pair), self.site.book.message(*pair, self.epoch))
 
+    def _ask(self, parameters: dict[str, str]) -> Answer:
+        """Has the server's own thread answer; runs in a thread of its own."""
+        asked = Asked(parameters, Future())
+        self._queue.put(asked)
+        try:
+            return asked.answer.result(_ANSWER_S)
+        except TimeoutError:
+            return Answer(error="the server is busy: ask again")
+
     def _relative(self, parameters: dict[str, str]) -> Answer:
-        """Answers `server/relative?from=a;to=b`; runs in a thread of its own and only reads."""
+        """Answers `server/relative?from=a;to=b`."""
         a, b = parameters.get("from"), parameters.get("to")
         if not a or not b:
             return Answer(error="ask as server/relative?from=r1;to=r2")
@@ -263,30 +336,21 @@ class Service:
             return Answer(error=found)
         return Answer(pack(found), encoding_of(type(found)))
 
-    def _status(self) -> ServerStatus:
-        uptime = time.monotonic() - self._began_s
-        counts = self.site.counts
-        used = resource.getrusage(resource.RUSAGE_SELF)
-        views = counts.get("views", 0)
-        return ServerStatus(
-            server_epoch=self.epoch,
-            uptime_s=uptime,
-            views=views,
-            alignments=counts.get("alignments", 0),
-            solves=counts.get("solves", 0),
-            pending_jobs=self._engine.running,
-            workers=self._engine.workers,
-            pairs_per_s=counts.get("alignments", 0) / max(uptime, 1e-3),
-            other_cpu_ms_per_view=1e3 * (used.ru_utime + used.ru_stime) / max(views, 1),
-            max_pair_wait_s=self.site.max_wait_s,
-            drops={
-                **self._inbox.drops,
-                "newer_view": self._clouds.replaced + counts.get("views_overtaken", 0),
-            },
-            version=version("fleetpose"),
-        )
+    def _journalled_view(self, parameters: dict[str, str]) -> Answer:
+        """Answers `server/view?robot=r;epoch=e;seq=n` from the journal; in a thread of its own."""
+        try:
+            name = ViewName.model_validate({**parameters, "seq": int(parameters.get("seq", ""))})
+            stored = self.journal.view(name)
+        except (ValueError, JournalError) as error:
+            reason = error if isinstance(error, JournalError) else "give robot, epoch and seq"
+            return Answer(error=f"ask as server/view?robot=r1;epoch=0123456789ab;seq=7: {reason}")
+        if stored is None:
+            return Answer(error=f"view {name} is not in the journal: nobody clicked in it")
+        view = unpack(View, stored.encoded)
+        kept = KeptView(view=view, jpeg=stored.jpeg, image=stored.header)
+        return Answer(pack(kept), encoding_of(KeptView))
 
-    def _refuse(self, sample: Sample, error: CodecError) -> None:
+    def _refuse(self, sample: Sample, error: FleetPoseError) -> None:
         if self._inbox.refuse(sample, error):
             log.warning("refused key=%s reason=%s", sample.key, error)
 
@@ -306,11 +370,23 @@ class Service:
 def serve(build: Callable[[], Service]) -> None:
     """Builds a service and runs it until SIGTERM or SIGINT; the session is closed whatever
     happens.
+
+    An error in any thread that nobody expected ends the service: a crash must be seen as one.
     """
     service = build()
+    failures: list[BaseException] = []
+
+    def fail(failed: threading.ExceptHookArgs) -> None:
+        threading.__excepthook__(failed)
+        failures.append(failed.exc_value or RuntimeError("a thread ended"))
+        service.stopped.set()
+
+    threading.excepthook = fail
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: service.stopped.set())
     try:
         service.run()
     finally:
         service.close()
+    if failures:
+        raise failures[0]

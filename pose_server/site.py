@@ -21,11 +21,15 @@ from pose_server.geometry.se3 import (
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.schedule import RoundRobin
 from pose_server.pairs.tracking import Attached, Track
-from pose_server.views import ViewStore
+from pose_server.views import KeptView, ViewStore, same_camera
 from protocol.keys import ordered_pair
-from protocol.messages import RobotPose, ViewName
+from protocol.messages import Camera, RobotPose, ViewName
 
 Floats = npt.NDArray[np.floating]
+PINNED_S = 60.0  # a client repeats what it holds every few seconds
+MAX_PINS = 64
+MAX_CHANGES_TOLD = 5
+MAX_HELD_BACK = 100
 RobotPair = tuple[str, str]
 ViewPair = tuple[ViewName, ViewName]
 
@@ -35,17 +39,27 @@ class Robot:
     """One robot: its life signs and its track.
 
     Attributes:
-        epochs: of the tokens that are there now.
+        epochs: of the tokens that are there now, the last one is the one that counts.
         newest: the newest view received.
         waiting: the newest view that is not tracked yet.
         tracking: the view that a worker follows at present.
+        behind: older views that somebody looks at and that hang nowhere yet.
+        placing: the one of these that a worker is at.
+        camera: of the newest view.
+        stamp_ns: of the newest view, by the robot's clock.
+        changes: of calibration, and times that the clock went back.
     """
 
     name: str
-    epochs: set[str] = field(default_factory=set)
+    epochs: list[str] = field(default_factory=list)
     newest: ViewName | None = None
     waiting: ViewName | None = None
     tracking: ViewName | None = None
+    behind: list[ViewName] = field(default_factory=list)
+    placing: ViewName | None = None
+    camera: Camera | None = None
+    stamp_ns: int = 0
+    changes: int = 0
     track: Track = field(default_factory=Track)
     published: RobotPose | None = None
     published_keyframe: tuple[ViewName, Floats] | None = None
@@ -56,6 +70,11 @@ class Robot:
     def alive(self) -> bool:
         """Whether its token is there."""
         return bool(self.epochs)
+
+    @property
+    def epoch(self) -> str | None:
+        """Of its present life, None while its token is not there."""
+        return self.epochs[-1] if self.epochs else None
 
 
 @dataclass
@@ -83,9 +102,22 @@ class PairRecord:
     waiting_since_s: float | None = None
 
 
+@dataclass(frozen=True)
+class Pin:
+    """The views that an operator's client holds on its screen, and when it said so last."""
+
+    views: tuple[ViewName, ...]
+    said_s: float
+
+
 @dataclass
 class Site:
-    """The state of one site. Only the server's own thread touches it."""
+    """The state of one site. Only the server's own thread touches it.
+
+    Attributes:
+        pins: by operator and session.
+        held_back: the newest view of each name whose token was not seen yet.
+    """
 
     book: Book
     skip: frozenset[RobotPair] = frozenset()
@@ -94,7 +126,8 @@ class Site:
     robots: dict[str, Robot] = field(default_factory=dict)
     pairs: dict[RobotPair, PairRecord] = field(default_factory=dict)
     edges: dict[EdgeKey, Edge] = field(default_factory=dict)
-    selections: dict[str, tuple[ViewName, ...]] = field(default_factory=dict)
+    pins: dict[tuple[str, str], Pin] = field(default_factory=dict)
+    held_back: dict[str, KeptView] = field(default_factory=dict)
     solution: FleetSolution | None = None
     gauge_revision: int = 0
     turn: RoundRobin[RobotPair] = field(default_factory=RoundRobin[RobotPair])
@@ -137,11 +170,47 @@ class Site:
         work.
         """
         held = set(self.keyframes()) | self.book.views()
-        for views in self.selections.values():
-            held.update(views)
+        for pin in self.pins.values():
+            held.update(pin.views)
         for robot in self.robots.values():
-            held.update(view for view in (robot.newest, robot.waiting, robot.tracking) if view)
+            at_work = (robot.newest, robot.waiting, robot.tracking, robot.placing, *robot.behind)
+            held.update(view for view in at_work if view is not None)
         return held
+
+    def pin(self, client: tuple[str, str], views: tuple[ViewName, ...], now_s: float) -> None:
+        """Holds views for an operator's client in place of those it held before."""
+        self.pins.pop(client, None)
+        fresh = [(key, pin) for key, pin in self.pins.items() if now_s - pin.said_s < PINNED_S]
+        self.pins = dict(fresh[-MAX_PINS + 1 :])
+        if views:
+            self.pins[client] = Pin(views, now_s)
+
+    def pinned(self) -> tuple[ViewName, ...]:
+        """The views that operators hold on their screens and that are kept."""
+        held = dict.fromkeys(view for pin in self.pins.values() for view in pin.views)
+        return tuple(view for view in held if view in self.views)
+
+    def hold_back(self, view: KeptView) -> None:
+        """Keeps the newest view of a name whose token is not there, until it is."""
+        name = view.name.robot
+        if self.held_back.pop(name, None) is not None or len(self.held_back) >= MAX_HELD_BACK:
+            self.count("without_token")
+        if len(self.held_back) < MAX_HELD_BACK:
+            self.held_back[name] = view
+
+    def note_change(self, robot: Robot, view: KeptView) -> None:
+        """Tells, a few times, when a robot's calibration changed or its clock went back."""
+        before, back_s = robot.camera, 1e-9 * (robot.stamp_ns - view.stamp_ns)
+        told = []
+        if before is not None and not same_camera(before, view.camera):
+            told.append(f"{robot.name} has another calibration from its view {view.name.seq} on")
+        if back_s > 0:
+            told.append(f"the clock of {robot.name} went back by {back_s:.1f} s")
+        robot.camera, robot.stamp_ns = view.camera, view.stamp_ns
+        robot.changes += len(told)
+        if robot.changes <= MAX_CHANGES_TOLD:
+            for event in told:
+                self.say(event)
 
     def camera_pose(self, view: ViewName) -> tuple[ViewName, Floats, Floats | None] | None:
         """Root of its component, T_root_camera and covariance of a view that hangs somewhere."""

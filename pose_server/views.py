@@ -96,12 +96,21 @@ def likeness(a: KeptView, b: KeptView) -> float:
     return float(min(1.0, len(_clear_matches(a, b)) / 40.0))
 
 
+def same_camera(a: Camera, b: Camera) -> bool:
+    """Whether two views were taken with one calibration."""
+    return (
+        (a.width, a.height, a.noise) == (b.width, b.height, b.noise)
+        and np.array_equal(a.K, b.K)
+        and np.array_equal(a.T_robot_camera, b.T_robot_camera)
+    )
+
+
 def stands_still(a: KeptView, b: KeptView) -> bool:
     """Whether a robot did not move between two of its views: its strongest points kept their
     pixels.
     """
     matches = _clear_matches(a, b)
-    if a.camera.width != b.camera.width or len(matches) < _STILL_MATCHES:
+    if not same_camera(a.camera, b.camera) or len(matches) < _STILL_MATCHES:
         return False
     shift = b.signature_uv[matches[:, 1]] - a.signature_uv[matches[:, 0]]
     drift = np.abs(np.median(shift, axis=0)).max()

@@ -23,6 +23,10 @@ class UnreachableError(FleetPoseError):
     """No router, robot or server answered where one was expected."""
 
 
+class NameTakenError(FleetPoseError):
+    """Another live process has the name."""
+
+
 class CalibrationError(FleetPoseError):
     """A camera's calibration is missing or impossible; the sentence says what to fix."""
 

@@ -6,8 +6,10 @@ from pydantic import Field
 
 from protocol.keys import NAME_PATTERN
 
+EPOCH_PATTERN = r"^[0-9a-f]{12}$"
+
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
-Epoch = Annotated[str, Field(pattern=r"^[0-9a-f]{12}$")]
+Epoch = Annotated[str, Field(pattern=EPOCH_PATTERN)]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]

@@ -72,6 +72,10 @@ class Keys:
     def relative(self) -> str:
         return f"{self.root}/server/relative"
 
+    @property
+    def server_view(self) -> str:
+        return f"{self.root}/server/view"
+
     def alignment(self, i: str, j: str) -> str:
         return f"{self.root}/pair/{i}/{j}/alignment"
 

@@ -19,10 +19,10 @@ from protocol.codec import encoding_of, pack, unpack
 from protocol.errors import CalibrationError
 from protocol.keys import Keys, checked_name, new_epoch
 from protocol.messages import Camera, Odometry, RelativePose, RobotPose, ViewName
+from protocol.presence import Presence
 from protocol.transport import Link, SessionSettings, open_session
 from robot_agent.cameras.base import DepthImage, DisparityImage, Frame, Ranges, ScatteredPoints
 from robot_agent.poses import PoseBoard
-from robot_agent.presence import claim_name
 from robot_agent.sender import Sender, SenderSettings
 
 log = logging.getLogger(__name__)
@@ -67,7 +67,14 @@ class FleetRobot:
         self._poses = PoseBoard()
         self._link = Link(open_session(session))
         try:
-            claim_name(self._link, self._keys, name, self.epoch, takeover)
+            self._presence = Presence(
+                self._link,
+                everybody=self._keys.robot_alive(name, "*"),
+                mine=self._keys.robot_alive(name, self.epoch),
+                who=f"a robot named '{name}'",
+                remedy="choose another --name, end that agent, or start with --takeover",
+                takeover=takeover,
+            )
             self._sender = Sender(self._link, self._keys, name, self.epoch, settings)
             self._odometry = self._link.latched(self._keys.odometry(name))
             self._link.on_latched(self._keys.poses, self._poses.store)
@@ -105,6 +112,7 @@ class FleetRobot:
 
         Raises:
             CalibrationError: no camera was given, or the image is not of its size.
+            NameTakenError: another agent has taken the name over.
         """
         if self._camera is None:
             raise CalibrationError("push needs the camera's model: give FleetRobot a camera")
@@ -127,7 +135,9 @@ class FleetRobot:
 
         Raises:
             CalibrationError: image or ranges do not fit the camera model.
+            NameTakenError: another agent has taken the name over.
         """
+        self._presence.check()
         _check_sizes(frame)
         name = ViewName(robot=self.name, epoch=self.epoch, seq=self._seq)
         self._seq += 1

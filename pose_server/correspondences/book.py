@@ -58,6 +58,7 @@ class Outcome:
     Attributes:
         accepted: whether it took effect; if not, `reason` says why.
         pair: the robots whose set it concerns.
+        views: that were clicked in.
     """
 
     operator: str
@@ -67,6 +68,7 @@ class Outcome:
     accepted: bool
     reason: str
     pair: Pair
+    views: tuple[ViewName, ...] = ()
 
 
 class Book:
@@ -309,7 +311,14 @@ def _outcome(update: OperatorUpdate, change: Change) -> Outcome:
     reason = change.rejection or ""
     accepted = change.rejection is None
     return Outcome(
-        update.operator, update.session, update.n, update.action, accepted, reason, change.pair
+        update.operator,
+        update.session,
+        update.n,
+        update.action,
+        accepted,
+        reason,
+        change.pair,
+        tuple(change.views),
     )
 
 

@@ -50,12 +50,14 @@ class Track:
         attached: of all kept views that hang somewhere.
         reference: the keyframe that the next view is tried against first.
         newest: the newest view that hangs somewhere.
+        past: older views that are being placed: they do not tell where the robot is now.
     """
 
     keyframes: list[ViewName] = field(default_factory=list)
     attached: dict[ViewName, Attached] = field(default_factory=dict)
     reference: ViewName | None = None
     newest: Attached | None = None
+    past: set[ViewName] = field(default_factory=set)
     _tried: dict[ViewName, list[ViewName]] = field(default_factory=dict)
     _fallback: dict[ViewName, Attached] = field(default_factory=dict)
 
@@ -78,14 +80,21 @@ class Track:
         C = np.diag([sigma_rad**2] * 3 + [sigma_m**2] * 3)
         self._hang(Attached(view, keyframe, np.eye(4), C, "verified"))
 
+    def keyframe_near(self, view: ViewName) -> ViewName | None:
+        """The keyframe that the views next in time hang on, None if none of that life does."""
+        near = [here for name, here in self.attached.items() if name.epoch == view.epoch]
+        nearest = min(near, key=lambda here: abs(here.view.seq - view.seq), default=None)
+        return None if nearest is None else nearest.keyframe
+
     def next_try(self, view: ViewName, likely: Callable[[], list[ViewName]]) -> ViewName | None:
-        """The keyframe to align a view with next: the reference, then the likeliest others; None to
-        give up.
+        """The keyframe to align a view with next: the reference (for a past view the keyframe of
+        its time), then the likeliest others; None to give up.
         """
         tried = self._tried.setdefault(view, [])
-        if self.reference in self.keyframes and self.reference not in tried:
-            tried.append(self.reference)
-            return self.reference
+        first = self.keyframe_near(view) if view in self.past else self.reference
+        if first in self.keyframes and first not in tried:
+            tried.append(first)
+            return first
         left = [
             keyframe
             for keyframe in likely()
@@ -147,6 +156,7 @@ class Track:
             self.attached.pop(view, None)
             self._tried.pop(view, None)
             self._fallback.pop(view, None)
+            self.past.discard(view)
         self.keyframes = [keyframe for keyframe in self.keyframes if keyframe not in views]
 
     def _promote(self, here: Attached) -> Step:
@@ -156,8 +166,9 @@ class Track:
 
     def _hang(self, here: Attached) -> None:
         self.attached[here.view] = here
-        self.reference = here.keyframe
-        self.newest = here
+        if here.view not in self.past:
+            self.reference = here.keyframe
+            self.newest = here
         self._tried.pop(here.view, None)
         self._fallback.pop(here.view, None)
 

@@ -152,6 +152,7 @@ def test_old_views_go_but_not_the_newest_twenty_nor_what_is_held():
 def site_of(*messages: View, skip: frozenset[tuple[str, str]] = frozenset()) -> Site:
     site = Site(book=Book(Forgetful()), skip=skip)
     for message in messages:
+        pipeline.receive_token(site, message.name.robot, message.name.epoch, True)
         pipeline.receive_view(site, kept(message))
     return site
 

@@ -9,7 +9,7 @@ import pytest
 
 from protocol.clouds import decode_depth, decode_salient
 from protocol.codec import encoding_of, pack, unpack
-from protocol.errors import CalibrationError, NameRefusedError, UnreachableError
+from protocol.errors import CalibrationError, NameRefusedError, NameTakenError, UnreachableError
 from protocol.keys import Keys
 from protocol.messages import (
     ROBOT_FROM_CAMERA,
@@ -35,7 +35,6 @@ from protocol.transport import (
 )
 from robot_agent.cameras.base import DepthImage, Frame
 from robot_agent.client import FleetRobot
-from robot_agent.presence import NameTakenError
 from robot_agent.sender import SenderSettings
 
 KEYS = Keys("demo")
@@ -254,6 +253,17 @@ def test_a_name_that_is_alive_is_refused_unless_taken_over(robot, router, link):
     with FleetRobot("r1", settings_for(router), camera=MODEL, takeover=True) as second:
         tokens = link.alive(KEYS.robot_alive("r1", "*"))
         assert tokens == sorted(KEYS.robot_alive("r1", e) for e in (robot.epoch, second.epoch))
+        assert wait_until(lambda: _push_refusal(robot) is not None, 5)
+        assert second.epoch in _push_refusal(robot)
+        assert _push_refusal(second) is None
+
+
+def _push_refusal(robot):
+    try:
+        robot.push(IMAGE, DEPTH)
+    except NameTakenError as error:
+        return str(error)
+    return None
 
 
 def test_a_name_becomes_free_within_the_lease(router):

@@ -1,0 +1,79 @@
+"""Views asked of their robots: those that an operator looks at and the server never got, and the
+images of those that were clicked in.
+"""
+
+import logging
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+from protocol.codec import unpack
+from protocol.errors import CodecError, FleetPoseError
+from protocol.keys import Keys
+from protocol.messages import KeptView, ViewName
+from protocol.transport import Sample
+
+log = logging.getLogger(__name__)
+
+TIMEOUT_S = 2.0
+_AT_ONCE = 4  # a robot that does not answer must not hold up the others
+_MOST_WAITING = 200
+
+
+@dataclass(frozen=True)
+class Fetched:
+    """What became of a request: the view with its image, or why there is none."""
+
+    name: ViewName
+    kept: KeptView | None
+    reason: str = ""
+
+
+class Fetcher:
+    """Asks robots for views, a few at a time and each view once at a time.
+
+    Args:
+        keys: of the site.
+        query: asks one selector with a timeout in seconds; raises a FleetPoseError.
+        store: takes each `Fetched`, in another thread.
+    """
+
+    def __init__(
+        self,
+        keys: Keys,
+        query: Callable[[str, float], Sample],
+        store: Callable[[Fetched], None],
+    ) -> None:
+        self._keys, self._query, self._store = keys, query, store
+        self._asked: set[ViewName] = set()
+        self._pool = ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="fetch")
+
+    def ask(self, name: ViewName) -> bool:
+        """Asks for a view unless it is asked for already; whether an answer will come."""
+        if name not in self._asked:
+            if len(self._asked) >= _MOST_WAITING:
+                return False
+            self._asked.add(name)
+            self._pool.submit(self._fetch, name)
+        return True
+
+    def close(self) -> None:
+        """Drops what waits; what is asked now ends within its timeout."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def _fetch(self, name: ViewName) -> None:
+        try:
+            fetched = Fetched(name, self._answer(name))
+        except FleetPoseError as error:
+            log.info("view not fetched name=%s reason=%s", name, error)
+            fetched = Fetched(name, None, str(error))
+        self._asked.discard(name)
+        self._store(fetched)
+
+    def _answer(self, name: ViewName) -> KeptView:
+        selector = f"{self._keys.view(name.robot)}?seq={name.seq};epoch={name.epoch}"
+        answer = self._query(selector, TIMEOUT_S)
+        kept = unpack(KeptView, answer.payload, answer.encoding)
+        if kept.view.name != name:
+            raise CodecError(f"asked for view {name}, got {kept.view.name}")
+        return kept

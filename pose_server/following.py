@@ -1,0 +1,205 @@
+"""Following robots through their own views, on their keyframes: the newest view of each as it
+comes, and older ones that an operator looks at.
+"""
+
+import numpy as np
+
+from pose_server.fleet.types import Edge
+from pose_server.pairs.align import Start
+from pose_server.pairs.candidates import candidate_views, offer_keyframe
+from pose_server.pairs.engine import Done, Job
+from pose_server.pairs.judging import PairResult
+from pose_server.pairs.tracking import accepted, moved
+from pose_server.site import Robot, Site
+from pose_server.views import STILL_PX, KeptView, stands_still
+from protocol.messages import ViewName
+
+MAX_KEYFRAMES = 40
+
+
+def newest_arrived(site: Site, robot: Robot, view: KeptView) -> None:
+    """The newest view of a robot waits to be followed; where no pixel moved, or before the first
+    keyframe, no worker is needed.
+    """
+    robot.newest = robot.waiting = view.name
+    if not robot.track.keyframes:
+        robot.waiting = None
+        new_keyframe(site, robot, view.name)
+    elif _stayed(site, robot, view, robot.track.reference):
+        robot.waiting = None
+
+
+def look_back(site: Site, view: ViewName) -> None:
+    """Asks for a kept view, newest or not, to be hung on a keyframe, because an operator looks at
+    it or clicked in it.
+    """
+    robot = site.robot(view.robot)
+    on_its_way = view in (robot.waiting, robot.tracking, robot.placing) or view in robot.behind
+    if view in site.views and site.attached(view) is None and not on_its_way:
+        robot.behind.append(view)
+
+
+def back_job(site: Site) -> Job | None:
+    """The next older view that somebody looks at."""
+    for robot in site.robots.values():
+        while robot.behind and robot.placing is None:
+            view = robot.behind.pop(0)
+            if view not in site.views or site.attached(view) is not None:
+                continue
+            robot.track.past.add(view)
+            near = robot.track.keyframe_near(view)
+            if _stayed(site, robot, site.views[view], near):
+                _placed(site, view)
+            elif (job := _follow(site, robot, view)) is not None:
+                return job
+    return None
+
+
+def track_job(site: Site) -> Job | None:
+    """The newest view of the robot that lags most."""
+    waiting = [robot for robot in site.robots.values() if robot.waiting and robot.tracking is None]
+    if not waiting:
+        return None
+    robot = min(waiting, key=lambda r: _followed_s(site, r))
+    view, robot.waiting = robot.waiting, None
+    assert view is not None
+    return _follow(site, robot, view)
+
+
+def followed(site: Site, done: Done) -> None:
+    """Files an alignment of a view with a keyframe of its own robot."""
+    view, keyframe = done.job.j.name, done.job.i.name
+    robot = site.robot(view.robot)
+    past = view in robot.track.past
+    if past:
+        robot.placing = None
+    else:
+        robot.tracking = None
+    if view not in site.views or keyframe not in site.views:
+        return
+    step = "try"
+    if done.result is not None:
+        depth = site.views[view].median_depth_m
+        nearer = None if past else _nearer_keyframe(site, robot, keyframe, done.result, depth)
+        step = robot.track.take(view, keyframe, done.result, depth, nearer)
+    if step == "try":
+        _try_again(site, robot, view, past)
+        return
+    if step == "keyframe":
+        new_keyframe(site, robot, view)
+    elif site.solution is not None:
+        node = site.solution.nodes.get(robot.track.attached[view].keyframe)
+        site.dirty |= node is None or node.covariance is None
+    if past:
+        _placed(site, view)
+
+
+def new_keyframe(site: Site, robot: Robot, view: ViewName) -> None:
+    """Makes a view a keyframe, links it to the one it was aligned with, and offers it to the other
+    robots.
+    """
+    link = robot.track.link_of(view)
+    robot.track.begin(view)
+    if link is not None:
+        site.link(
+            Edge(
+                link.keyframe, view, link.T_keyframe_view, link.covariance, link.verdict, "odometry"
+            )
+        )
+    offer_keyframe(site, view)
+    site.dirty = True
+    if len(robot.track.keyframes) > MAX_KEYFRAMES:
+        _drop_keyframe(site, robot)
+
+
+def _try_again(site: Site, robot: Robot, view: ViewName, past: bool) -> None:
+    if past:
+        robot.behind.insert(0, view)
+    elif robot.waiting is None:
+        robot.waiting = view
+    else:
+        site.count("views_overtaken")
+        if view in site.book.views():
+            look_back(site, view)
+
+
+def _followed_s(site: Site, robot: Robot) -> float:
+    """When the newest view that hangs somewhere was received: who lags most is next."""
+    newest = robot.track.newest
+    kept = None if newest is None else site.views.get(newest.view)
+    return -np.inf if kept is None else kept.received_s
+
+
+def _follow(site: Site, robot: Robot, view: ViewName) -> Job | None:
+    """The next try to hang a view on one of its robot's keyframes."""
+    past = view in robot.track.past
+    keyframe = robot.track.next_try(view, lambda: candidate_views(site, robot, view))
+    if keyframe is None or keyframe not in site.views:
+        if robot.track.give_up(view) == "segment":
+            what = "hangs on none of its keyframes" if past else "begins a new segment"
+            site.say(f"{robot.name} lost track of itself: its view {view.seq} {what}")
+        new_keyframe(site, robot, view)
+        if past:
+            _placed(site, view)
+        return None
+    starts: tuple[Start, ...] = ()
+    if past:
+        robot.placing = view
+    else:
+        robot.tracking = view
+        if robot.track.newest is not None and robot.track.newest.keyframe == keyframe:
+            starts = (Start("previous", robot.track.newest.T_keyframe_view, 0.03),)
+    return Job("track", site.views[keyframe].encoded, site.views[view].encoded, starts)
+
+
+def _stayed(site: Site, robot: Robot, view: KeptView, keyframe: ViewName | None) -> bool:
+    """Hangs a view on a keyframe without a worker where no pixel moved."""
+    if keyframe is None or keyframe not in site.views:
+        return False
+    if not stands_still(site.views[keyframe], view):
+        return False
+    sigma_rad = STILL_PX / float(view.camera.K[0, 0])
+    robot.track.stay(view.name, keyframe, sigma_rad, sigma_rad * view.median_depth_m)
+    return True
+
+
+def _placed(site: Site, view: ViewName) -> None:
+    """An older view hangs somewhere now: clicks that were made in it begin to count."""
+    site.robot(view.robot).track.past.discard(view)
+    for kept in site.book.all():
+        if view in (kept.item.view_i, kept.item.view_j):
+            site.pair(kept.item.view_i.robot, kept.item.view_j.robot).clicks_due = True
+            site.dirty = True
+
+
+def _nearer_keyframe(
+    site: Site, robot: Robot, keyframe: ViewName, result: PairResult, depth_m: float
+) -> ViewName | None:
+    """Another keyframe of the robot that a view is near to, judged by the solution."""
+    if not accepted(result) or result.T_i_j is None:
+        return None
+    near: list[tuple[float, ViewName]] = []
+    for other in robot.track.keyframes:
+        T = None if other == keyframe else site.relative(other, keyframe)
+        if T is not None:
+            near.append((moved(T @ result.T_i_j, depth_m), other))
+    distance, other = min(near, default=(np.inf, None), key=lambda pair: pair[0])
+    return other if distance < 0.8 else None
+
+
+def _drop_keyframe(site: Site, robot: Robot) -> None:
+    """Forgets the oldest keyframe that nothing important hangs on."""
+    clicked = {site.attached(view) for view in site.book.views()}
+    kept = {here.keyframe for here in clicked if here is not None}
+    kept |= {site.gauge, robot.track.reference}
+    oldest = next((view for view in robot.track.keyframes if view not in kept), None)
+    if oldest is None:
+        return
+    robot.track.forget({oldest})
+    for key in [key for key in site.edges if oldest in key[:2]]:
+        site.unlink(key)
+    site.similarities = {v: like for v, like in site.similarities.items() if oldest not in v}
+    for record in site.pairs.values():
+        record.untried = {
+            views: like for views, like in record.untried.items() if oldest not in views
+        }

@@ -1,0 +1,163 @@
+"""Robots that come, go and come back; views that operators hold; clicks in views of the past."""
+
+import numpy as np
+import pytest
+
+from pose_server import pipeline
+from pose_server.pairs.engine import Done, run_job
+from pose_server.site import MAX_HELD_BACK, PINNED_S, Site
+from protocol.errors import CodecError
+from protocol.messages import Selection, ViewName
+from tests.pose_server.scene import EPOCH, descriptors, turned, view, walls
+from tests.pose_server.test_flows import click, kept, named, scene_with_points_to_click, site_of
+from tests.pose_server.test_flows import work_off as work_off_all
+
+LATER = "1" * 12
+
+
+def messages(*T_camera_scenes: np.ndarray, robot: str = "r1", epoch: str = EPOCH):
+    """Views of one scene, numbered from 0."""
+    rng = np.random.default_rng(3)
+    points, looks = walls(rng, 1500), descriptors(rng, 1500)
+    found = []
+    for seq, T in enumerate(T_camera_scenes):
+        one = view(rng, robot, points, looks, T, seq=seq)
+        found.append(one.model_copy(update={"name": ViewName(robot=robot, epoch=epoch, seq=seq)}))
+    return found
+
+
+def empty_site() -> Site:
+    return site_of()
+
+
+def test_a_view_waits_for_its_robots_token_and_no_token_is_no_robot():
+    site = empty_site()
+    (first,) = messages(np.eye(4))
+    pipeline.receive_view(site, kept(first))
+    assert not site.robots and first.name not in site.views
+    pipeline.receive_token(site, "r1", EPOCH, True)
+    assert site.robots["r1"].newest == first.name and first.name in site.views
+
+
+def test_views_without_tokens_are_bounded_and_counted():
+    site = empty_site()
+    (first,) = messages(np.eye(4))
+    for number in range(MAX_HELD_BACK + 5):
+        name = ViewName(robot=f"ghost-{number}", epoch=EPOCH, seq=0)
+        pipeline.receive_view(site, kept(first.model_copy(update={"name": name})))
+    assert len(site.held_back) == MAX_HELD_BACK
+    assert site.counts["without_token"] == 5
+
+
+def test_only_the_live_epoch_counts_and_the_last_token_is_the_live_one():
+    (old,) = messages(np.eye(4))
+    (new,) = messages(np.eye(4), epoch=LATER)
+    site = site_of(old)
+    with pytest.raises(CodecError, match="lives in"):
+        pipeline.receive_view(site, kept(new))
+    pipeline.receive_token(site, "r1", LATER, True)  # it took the name over
+    pipeline.receive_view(site, kept(new))
+    assert site.robots["r1"].newest == new.name
+    with pytest.raises(CodecError, match="is over"):
+        pipeline.receive_view(site, kept(old))
+    pipeline.receive_token(site, "r1", LATER, False)
+    assert site.robots["r1"].alive, "the first agent still is there"
+
+
+def test_a_robot_that_comes_back_is_found_on_its_old_keyframes():
+    (old,) = messages(np.eye(4))
+    (back,) = messages(turned(3), epoch=LATER)
+    site = site_of(old)
+    work_off_all(site)
+    pipeline.receive_token(site, "r1", EPOCH, False)
+    assert not site.robots["r1"].alive
+    pipeline.receive_token(site, "r1", LATER, True)
+    pipeline.receive_view(site, kept(back))
+    work_off_all(site)
+    attached = site.attached(back.name)
+    assert attached is not None and attached.keyframe == old.name
+
+
+def test_an_older_view_that_comes_late_is_kept_but_is_not_where_the_robot_is():
+    first, second = messages(np.eye(4), turned(2))
+    site = site_of(second)
+    pipeline.receive_view(site, kept(first))
+    assert site.robots["r1"].newest == second.name
+    assert first.name in site.views
+
+
+def test_another_calibration_and_a_clock_that_goes_back_are_told():
+    first, second = messages(np.eye(4), turned(2))
+    K = second.camera.K.copy()
+    K[0, 0] += 5.0
+    camera = second.camera.model_copy(update={"K": K})
+    site = site_of(first)
+    changed = second.model_copy(
+        update={"camera": camera, "stamp_ns": first.stamp_ns - 7200 * 10**9}
+    )
+    pipeline.receive_view(site, kept(changed))
+    assert any("another calibration" in event for event in site.events)
+    assert any("went back by 7200.0 s" in event for event in site.events)
+
+
+def selection(*views: ViewName, session: str = "a" * 12) -> Selection:
+    i, j = (views[0].robot, views[1].robot) if len(views) == 2 else (None, None)
+    at_i, at_j = views if len(views) == 2 else (None, None)
+    return Selection(operator="op", session=session, i=i, j=j, view_i=at_i, view_j=at_j)
+
+
+def test_selected_views_are_kept_as_long_as_they_are_selected():
+    T_true = turned(15)
+    both, _ = scene_with_points_to_click(np.random.default_rng(4), T_true)
+    site = site_of(*both)
+    missing = pipeline.receive_selection(site, selection(named(0, "r1"), named(9, "r2")), 0.0)
+    assert missing == [named(9, "r2")]
+    assert site.pinned() == (named(0, "r1"),)
+    assert named(0, "r1") in site.held()
+    pipeline.receive_selection(site, selection(), 1.0)
+    assert site.pinned() == ()
+
+
+def test_a_client_that_is_gone_does_not_hold_views_for_ever():
+    T_true = turned(15)
+    both, _ = scene_with_points_to_click(np.random.default_rng(4), T_true)
+    site = site_of(*both)
+    pipeline.receive_selection(site, selection(named(0, "r1"), named(0, "r2")), 0.0)
+    late = PINNED_S + 1.0
+    pipeline.receive_selection(site, selection(session="b" * 12), late)
+    assert site.pinned() == ()
+
+
+def test_a_click_in_a_view_that_was_overtaken_counts_once_that_view_is_placed():
+    """r1 walked on before its second view was followed; the click in that view still joins."""
+    T_true = turned(15)
+    rng = np.random.default_rng(4)
+    (first, other), points = scene_with_points_to_click(rng, T_true)
+    site = site_of(first, other, skip=frozenset({("r1", "r2")}))
+    overtaken = first.model_copy(update={"name": named(1, "r1")})
+    site.views.keep(kept(overtaken))
+    assert site.attached(overtaken.name) is None
+    for n, point in enumerate(points, 1):
+        (outcome,) = pipeline.receive_update(site, click(n, point, T_true, overtaken.name))
+        assert outcome.accepted, outcome.reason
+    newest = site.robots["r1"].track.newest
+    work_off_all(site)
+    assert site.attached(overtaken.name) is not None
+    assert site.robots["r1"].track.newest == newest, "the past does not move the robot"
+    T = site.relative(named(0, "r1"), named(0, "r2"))
+    assert T is not None and np.linalg.norm(T[:3, 3] - T_true[:3, 3]) < 0.2
+
+
+def test_a_past_view_is_hung_by_a_worker_where_the_robot_had_moved():
+    first, second, third = messages(np.eye(4), turned(3), turned(6))
+    site = site_of(first, third)
+    work_off_all(site)
+    before = site.robots["r1"].track.newest
+    pipeline.receive_fetched(site, kept(second))
+    assert pipeline.next_job(site, 0.0) is None, "nobody looks at it"
+    pipeline.receive_selection(site, selection(second.name, named(0, "r2")), 0.0)
+    job = pipeline.next_job(site, 0.0)
+    assert job is not None and job.j.name == second.name
+    pipeline.take_result(site, Done(job, run_job(job)), 0.0)
+    assert site.attached(second.name) is not None
+    assert site.robots["r1"].track.newest == before
