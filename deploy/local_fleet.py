@@ -90,6 +90,14 @@ class LocalFleet:
             UnreachableError: it did not, within 15 s.
         """
         self.start("router", "pose_server", "router", "--listen", self.endpoint)
+        self.wait_accepting()
+
+    def wait_accepting(self) -> None:
+        """Waits until the router accepts connections.
+
+        Raises:
+            UnreachableError: it does not, within 15 s.
+        """
         ready = wait_until(
             lambda: self._accepts() or "router" in self.exited(), ROUTER_START_S, poll_s=0.05
         )

@@ -81,6 +81,18 @@ def fleet(
 
 
 @app.command()
+def faults(
+    out: Out,
+    kills: Annotated[int, typer.Option(min=1, help="Processes killed at random moments.")] = 20,
+    seed: Annotated[int, typer.Option(help="Which processes, and when.")] = 0,
+) -> None:
+    """Kill server, router and robots under a clicking operator, and count what is lost."""
+    from evaluation.faults.command import run
+
+    run(kills, out, seed)
+
+
+@app.command()
 def demo(
     robots: Annotated[int, typer.Option(min=2, help="How many.")] = 6,
     seconds: Annotated[float, typer.Option(help="At most, without a screen.")] = 90,

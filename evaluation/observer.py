@@ -93,6 +93,7 @@ class Observer:
         self._waiting: dict[str, list[tuple[ViewName, float]]] = {}
         self._alive: set[str] = set()
         self.state: FleetState | None = None
+        self.states_heard = 0
         self.statuses: list[tuple[float, ServerStatus]] = []
         self.alignments: list[SeenAlignment] = []
         self.pose_arrivals: list[tuple[float, str]] = []
@@ -146,8 +147,12 @@ class Observer:
             return sum(1 for key in self._alive if "/robot/" in key)
 
     def server_alive(self) -> bool:
+        return bool(self.server_epochs())
+
+    def server_epochs(self) -> set[str]:
+        """Of the servers whose token is there."""
         with self._lock:
-            return any("/server/" in key for key in self._alive)
+            return {key.rsplit("/", 1)[-1] for key in self._alive if "/server/" in key}
 
     def _subscribe(self, link: Link) -> None:
         keys = self._keys
@@ -205,6 +210,7 @@ class Observer:
 
     def _on_state(self, state: FleetState, *_: object) -> None:
         self.state = state
+        self.states_heard += 1
 
     def _on_status(self, status: ServerStatus, received_s: float, _: int) -> None:
         self.statuses.append((received_s, status))

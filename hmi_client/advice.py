@@ -5,12 +5,10 @@ import math
 from hmi_client.matrix import length_text
 from hmi_client.session import OperatorSession
 
-SILENT_S = 2.5  # the state comes at 2 to 5 Hz; after this long without it the server counts as gone
-
 
 def next_step(session: OperatorSession) -> str:
     """The one thing to do now."""
-    if session.silence_s > SILENT_S:
+    if session.silent:
         if math.isinf(session.silence_s):
             return "NO SERVER heard yet; waiting for one"
         since = f"{session.silence_s:.0f} s"
@@ -23,7 +21,13 @@ def next_step(session: OperatorSession) -> str:
     i, j = session.pair
     missing = [robot for robot in (i, j) if session.picture(robot) is None]
     if missing:
+        notices = [notice for robot in missing if (notice := session.picture_notice(robot))]
+        if notices:
+            return "; ".join(notices)
         return f"Waiting for the image of {' and '.join(missing)} ..."
+    lost = [robot for robot in (i, j) if session.keeping(robot) == "not kept"]
+    if lost:
+        return f"The server does not keep this view of {' and '.join(lost)}: f thaws, pick anew"
     if session.half is not None:
         done, other = (i, j) if session.half.side == 0 else (j, i)
         return f"Point picked in {done}: now pick the same point in {other} (c cancels)"
@@ -64,7 +68,7 @@ def describe_cell(session: OperatorSession) -> str:
 
 def confirmation(session: OperatorSession) -> str:
     """What the server last confirmed of this operator's work."""
-    waiting, confirmed = len(session.open_updates()), session.confirmed
+    waiting, confirmed = session.unconfirmed, session.confirmed
     if waiting:
         return f"{waiting} not confirmed yet"
     return f"all {confirmed} confirmed" if confirmed else "nothing sent yet"

@@ -7,9 +7,11 @@ robots for views whose picture does not come by itself.
 import logging
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable
 
+from hmi_client.drops import Drops
+from hmi_client.errors import PictureError
+from hmi_client.jpeg import check_size, frame_of
 from hmi_client.model import Pair, Picture
 from hmi_client.sender import Sender
 from hmi_client.session import OperatorSession
@@ -18,6 +20,8 @@ from protocol.errors import CodecError, FleetPoseError, UnreachableError
 from protocol.keys import Keys
 from protocol.messages import (
     Alignment,
+    Camera,
+    CameraAnnouncement,
     FleetState,
     ImageHeader,
     KeptView,
@@ -46,12 +50,12 @@ class Client:
     def __init__(self, session: OperatorSession, keys: Keys, open_link: Callable[[], Link]) -> None:
         self.session = session
         self.keys = keys
-        self.drops: Counter[str] = Counter()
         self.failure: Exception | None = None
         self._open_link = open_link
         self._link: Link | None = None
         self._inbox = Slots()
         self._alignments: dict[str, Sample] = {}
+        self._cameras: dict[str, CameraAnnouncement] = {}
         self._stop = threading.Event()
         self._threads: list[threading.Thread] = []
 
@@ -84,6 +88,16 @@ class Client:
         self.close()
         if self.failure is not None:
             raise self.failure
+
+    @property
+    def drops(self) -> Drops:
+        """What arrived and could not be used, by reason."""
+        return self.session.drops
+
+    @property
+    def replaced(self) -> int:
+        """How many samples were overtaken by newer ones before they were read."""
+        return self._inbox.replaced
 
     # ---- connecting ------------------------------------------------------------------------------
 
@@ -123,6 +137,7 @@ class Client:
             self.keys.poses,
             self.keys.correspondences("*", "*"),
             self.keys.receipts(operator),
+            self.keys.camera("*"),
         ):
             link.on_latched(key, self._inbox.store)
         link.on_latched(self.keys.alignment("*", "*"), self._keep_alignment)
@@ -149,8 +164,7 @@ class Client:
         try:
             work()
         except FleetPoseError as error:
-            self.drops[type(error).__name__] += 1
-            log.warning("dropped %s: %s", key, error)
+            self.session.drop(key, error)
 
     def _take(self, sample: Sample) -> None:
         session = self.session
@@ -168,20 +182,49 @@ class Client:
                 session.on_correspondences(known)
             case ["operator", _, "receipts"]:
                 session.on_receipts(unpack(Receipts, sample.payload, sample.encoding))
+            case ["robot", robot, "camera"]:
+                self._take_camera(robot, sample)
             case ["robot", robot, "image"]:
-                session.on_picture(self._picture(robot, sample))
+                self._take_picture(robot, lambda: self._picture(robot, sample))
             case _:
                 raise CodecError("nothing is expected under this key")
 
+    def _take_camera(self, robot: str, sample: Sample) -> None:
+        announced = unpack(CameraAnnouncement, sample.payload, sample.encoding)
+        if announced.robot != robot:
+            raise CodecError(f"a camera of '{announced.robot}' under another robot's key")
+        self._cameras[robot] = announced
+
+    def _take_picture(self, robot: str, make: Callable[[], Picture]) -> None:
+        """Feeds a picture, or tells the operator why there is none."""
+        try:
+            self.session.on_picture(make())
+        except (CodecError, PictureError) as error:
+            self.session.on_unreadable(robot, str(error))
+            raise
+
     def _picture(self, robot: str, sample: Sample) -> Picture:
         if sample.encoding != ENCODING_JPEG or sample.attachment is None:
-            raise CodecError(f"no JPEG with its header, but '{sample.encoding[:80]}'")
-        if len(sample.payload) > MAX_MESSAGE_BYTES:
-            raise CodecError(f"a JPEG of {len(sample.payload)} bytes")
+            raise PictureError(f"no JPEG with its header, but '{sample.encoding[:80]}'")
         header = unpack(ImageHeader, sample.attachment)
         if header.view.robot != robot:
-            raise CodecError(f"an image of {header.view.robot} under the key of {robot}")
-        return Picture(header.view, sample.payload, header.scale, self.session.clock())
+            raise PictureError(f"an image of '{header.view.robot}' under the key of another robot")
+        announced = self._cameras.get(robot)
+        known = announced is not None and announced.epoch == header.view.epoch
+        camera = announced.camera if announced is not None and known else None
+        return self._checked(header, sample.payload, camera)
+
+    def _checked(self, header: ImageHeader, jpeg: bytes, camera: Camera | None) -> Picture:
+        """A picture whose size has been read and fits; nothing is decoded yet.
+
+        Raises:
+            PictureError: it is no JPEG, or not one of this camera.
+        """
+        if len(jpeg) > MAX_MESSAGE_BYTES:
+            raise PictureError(f"a JPEG of {len(jpeg)} bytes")
+        frame = frame_of(jpeg)
+        check_size(frame.width, frame.height, header.scale, camera)
+        return Picture(header.view, jpeg, header.scale, self.session.clock())
 
     # ---- asking for views ------------------------------------------------------------------------
 
@@ -194,27 +237,59 @@ class Client:
                 now = time.monotonic()
                 if self.session.picture(robot) is None and now > next_try.get(robot, 0.0):
                     next_try[robot] = now + RETRY_S
-                    self._survive(robot, lambda robot=robot: self._fetch_newest(robot))
+                    self._survive(
+                        self.keys.view(robot), lambda robot=robot: self._fetch_newest(robot)
+                    )
 
     def _fetch_newest(self, robot: str) -> None:
-        view = self.session.robot(robot).newest_view
-        if view is not None:
-            self.session.on_picture(self.fetch_picture(view))
+        """Asks for what the server has newest, so that one can pick in it at once."""
+        view = self.session.newest_view(robot)
+        if view is None:
+            return
+        try:
+            self._take_picture(robot, lambda: self.fetch_picture(view))
+        except UnreachableError as error:  # asked again soon; the screen says that it waits
+            log.info("%s", error)
 
     def fetch_picture(self, view: ViewName) -> Picture:
-        """Asks a robot for the JPEG of one of its last views.
+        """Asks for the image of a view: its robot, or the server if it has been clicked in and the
+        robot has forgotten it.
 
         Raises:
-            UnreachableError: the robot does not answer, or no longer has it.
+            UnreachableError: nobody answers, or nobody has it any more.
+            PictureError: what was answered is no image of it.
         """
         if self._link is None:
             raise UnreachableError("not connected to a router yet")
-        selector = f"{self.keys.view(view.robot)}?seq={view.seq};epoch={view.epoch}"
-        kept = unpack(KeptView, self._link.query(selector).payload)
+        asked = f"seq={view.seq};epoch={view.epoch}"
+        try:
+            answer = self._link.query(f"{self.keys.view(view.robot)}?{asked}")
+        except UnreachableError as robot_error:
+            try:
+                answer = self._link.query(f"{self.keys.server_view}?robot={view.robot};{asked}")
+            except UnreachableError as error:
+                raise UnreachableError(f"{robot_error}; {error}") from error
+        kept = unpack(KeptView, answer.payload, answer.encoding)
         if kept.jpeg is None or kept.view.name != view:
             raise UnreachableError(f"{view.robot} has no image of its view {view.seq}")
-        scale = kept.image.scale if kept.image else 1
-        return Picture(view, kept.jpeg, scale, self.session.clock())
+        header = kept.image or ImageHeader(view=view, stamp_ns=kept.view.stamp_ns)
+        if header.view != view:
+            raise PictureError(f"view '{view}' came with the image of '{header.view}'")
+        return self._checked(header, kept.jpeg, kept.view.camera)
+
+    # ---- alignments ------------------------------------------------------------------------------
+
+    def alignments(self, robot: str) -> dict[Pair, Alignment]:
+        """The newest alignment heard of each pair of a robot."""
+        found = {}
+        for key, sample in tuple(self._alignments.items()):
+            try:
+                _, i, j, _ = self.keys.chunks(key)
+                if robot in (i, j):
+                    found[i, j] = unpack(Alignment, sample.payload, sample.encoding)
+            except (FleetPoseError, ValueError) as error:
+                self.session.drop(key, error)
+        return found
 
     def _recall_alignment(self, pair: Pair) -> None:
         """Feeds the alignment that came before its pair was selected."""

@@ -5,7 +5,7 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -13,8 +13,7 @@ from hmi_client import connection as c
 from hmi_client import correspondence_commands
 from hmi_client.errors import OperatorError
 
-if TYPE_CHECKING:
-    from hmi_client.session import OperatorSession
+ALIGNMENTS_S = 1.0  # they are latched: what has not come by then was never told
 
 app = typer.Typer(
     help="The operator's client of a fleet: see where every robot is, and help where asked.",
@@ -118,25 +117,26 @@ def status(
 @app.command()
 def why(
     robot: Annotated[str, typer.Argument(help="a robot's name")],
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON")] = False,
     connect: c.Connect = c.DEFAULT_CONNECT,
     site: c.Site = c.DEFAULT_SITE,
     config: c.Config = None,
     operator: c.Operator = "",
 ) -> None:
-    """Says why a robot is not located."""
-    with c.Connection.of(connect, site, config, operator).server() as session:
-        typer.echo(why_text(session, robot))
+    """Says why a robot is located (exit code 0) or not (1), and what to do next."""
+    from hmi_client.clicking import wait_for_sets
+    from hmi_client.why import tried_pairs, why_record, why_text
+    from protocol.transport import wait_until
 
-
-def why_text(session: "OperatorSession", robot: str) -> str:
-    """Why a robot is not located, in a sentence."""
-    state = session.robot(robot)
-    if state.why_not:
-        return f"{robot} is not located: {state.why_not}"
-    pose = session.poses().get(robot)
-    if pose is not None and pose.located:
-        return f"{robot} is located"
-    return f"{robot} is not located; the server gives no reason"
+    with c.Connection.of(connect, site, config, operator).client_of_server() as client:
+        session = client.session
+        session.robot(robot)
+        wait_for_sets(session)
+        tried = set(tried_pairs(session, robot))
+        wait_until(lambda: tried <= set(client.alignments(robot)), ALIGNMENTS_S, poll_s=0.1)
+        record = why_record(session, robot, client.alignments(robot))
+    typer.echo(json.dumps(record, indent=1) if as_json else why_text(record))
+    raise typer.Exit(0 if record["located"] else 1)
 
 
 def size_of(text: str) -> tuple[int, int]:

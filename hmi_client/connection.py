@@ -73,10 +73,16 @@ class Connection:
         Raises:
             NoServerError: none was heard within 5 seconds.
         """
+        with self.client_of_server(whole) as client:
+            yield client.session
+
+    @contextmanager
+    def client_of_server(self, whole: bool = False) -> Iterator["Client"]:
+        """The same with the client around the session."""
         from hmi_client.session import OperatorSession
 
         session = OperatorSession(self.operator)
-        with self.client(session):
+        with self.client(session) as client:
             if not session.wait_change({}, ("fleet",), SERVER_TIMEOUT_S):
                 where = self.config or ", ".join(self.connect)
                 raise NoServerError(
@@ -85,7 +91,7 @@ class Connection:
                 )
             if whole:
                 _wait_for_sets(session)
-            yield session
+            yield client
 
 
 def _wait_for_sets(session: "OperatorSession") -> None:

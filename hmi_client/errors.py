@@ -9,3 +9,7 @@ class OperatorError(FleetPoseError):
 
 class NoServerError(UnreachableError):
     """No pose server was heard in time."""
+
+
+class PictureError(FleetPoseError):
+    """An image that cannot be shown; the sentence goes on after 'the image cannot be read: '."""

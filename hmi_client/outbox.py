@@ -1,6 +1,7 @@
 """The operator's updates on their way: numbered without gaps, kept until a receipt covers them."""
 
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Any, Literal
 
 from hmi_client.model import Pair, Pick
@@ -14,12 +15,16 @@ Action = Literal["add", "erase", "clear"]
 class Ticket:
     """What became of one update: open, accepted, or rejected with the server's reason.
 
-    The update may be numbered anew when the server has lost its journal; the ticket stays.
+    The update may be numbered anew when the server has lost its journal; the ticket stays. One that
+    is `held` is not sent yet, nor is what follows it: the server takes updates in order. `arrived`
+    says that a set has shown what it added, maybe before the receipt.
     """
 
     update: OperatorUpdate
     final: bool = False
     reason: str | None = None
+    held: bool = False
+    arrived: bool = False
 
     @property
     def accepted(self) -> bool:
@@ -51,6 +56,11 @@ class Outbox:
     def open(self) -> tuple[Ticket, ...]:
         """Tickets that no receipt covers yet, in order."""
         return tuple(self._open)
+
+    @property
+    def sendable(self) -> tuple[Ticket, ...]:
+        """The open tickets up to the first that is held."""
+        return tuple(takewhile(lambda ticket: not ticket.held, self._open))
 
     def post(self, action: Action, pair: Pair, base_revision: int, **places: Any) -> Ticket:
         """Makes the next update; `places` are the remaining fields of `OperatorUpdate`."""
@@ -96,10 +106,21 @@ class Outbox:
             and receipts.n < self.confirmed
         )
 
-    def restart(self) -> None:
-        """Begins a new session, numbered from 1, for a server with an empty journal."""
+    def restart(self) -> list[Ticket]:
+        """Begins a new session, numbered from 1, for a server with an empty journal.
+
+        Returns:
+            Tickets that became final: what they would have erased is gone, and its id may come to
+            mean another.
+        """
         self.session = new_epoch()
         self.confirmed = 0
+        pointless = [ticket for ticket in self._open if ticket.pick is None and not ticket.held]
+        for ticket in pointless:
+            ticket.final, ticket.reason = True, "the server has lost what this would erase"
+        self._open = [ticket for ticket in self._open if not ticket.final]
         self._last = len(self._open)
         for n, ticket in enumerate(self._open, start=1):
+            ticket.arrived = False
             ticket.update = ticket.update.model_copy(update={"session": self.session, "n": n})
+        return pointless

@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from hmi_client.advice import SILENT_S
 from hmi_client.ground import heading_rad, position, position_sigma_m
 from hmi_client.matrix import length_text
 from hmi_client.model import Entry, Pair
@@ -101,7 +100,7 @@ class Watcher:
         return [{"type": "event", "text": text} for text in events]
 
     def _silence(self) -> list[Record]:
-        silent = self._session.silence_s > SILENT_S
+        silent = self._session.silent
         changed, self._silent = silent != self._silent, silent
         if not changed:
             return []

@@ -13,6 +13,7 @@ from protocol.messages import OperatorUpdate, Selection
 from protocol.transport import Link, Slots
 
 REPEAT_S = 1.0  # an update is offered again after this long without a receipt
+RETELL_S = 5.0  # frozen views are named again after this long: a server forgets selections
 
 
 class Sender:
@@ -43,6 +44,8 @@ class Sender:
         self._selection = link.latched(keys.selection(session.operator), block=True)
         self._offered_s: dict[tuple[str, int], float] = {}
         self._told: Selection | None = None
+        self._told_s = 0.0
+        self._told_to: str | None = None
         self._images: dict[str, Any] = {}
 
     def run(self, stop: threading.Event) -> None:
@@ -67,15 +70,20 @@ class Sender:
         self._offered_s = offered
 
     def _follow_selection(self) -> None:
-        selection = self._session.selection()
-        if selection == self._told:
+        """Tells the selection when it changes, to each new server, and while views are frozen."""
+        selection, fleet = self._session.selection(), self._session.fleet
+        server = fleet.server_epoch if fleet else None
+        frozen = selection.view_i is not None or selection.view_j is not None
+        late = frozen and time.monotonic() - self._told_s >= RETELL_S
+        if selection != self._told:
+            pair = (selection.i, selection.j) if selection.i and selection.j else None
+            self._want_images(pair or ())
+            if pair is not None:
+                self._on_selected(pair)
+        elif server == self._told_to and not late:
             return
-        pair = (selection.i, selection.j) if selection.i and selection.j else None
-        self._want_images(pair or ())
-        if pair is not None:
-            self._on_selected(pair)
         self._selection.put(pack(selection), encoding_of(Selection))
-        self._told = selection
+        self._told, self._told_to, self._told_s = selection, server, time.monotonic()
 
     def _want_images(self, robots: Iterable[str]) -> None:
         wanted = set(robots)

@@ -3,8 +3,11 @@
 The server's sets, own updates on their way, what was rejected, undo and redo.
 """
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from hmi_client.clearing import HeldClear
 from hmi_client.errors import OperatorError
 from hmi_client.model import Entry, Pair, Pick, PixelUV
 from hmi_client.outbox import Outbox, Ticket
@@ -26,6 +29,7 @@ class Workbook:
     operator: str
     session: str | None = None
     sets: dict[Pair, PairCorrespondences] = field(default_factory=dict)
+    clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
         self.outbox = Outbox(self.operator, self.session)
@@ -34,6 +38,7 @@ class Workbook:
         self._settling: list[Ticket] = []  # accepted, but the set that shows it is still to come
         self._withdrawn: list[Pick] = []  # undone before it was named: erased once it is
         self._erasing: dict[Pair, dict[int, Ticket]] = {}
+        self._clears: list[HeldClear] = []
         self._rejected: dict[Pair, list[tuple[Pick, str]]] = {}
 
     # ---- what the operator does ------------------------------------------------------------------
@@ -53,11 +58,20 @@ class Workbook:
         return self._post_erase(pair, known)
 
     def clear(self, pair: Pair) -> Ticket | None:
-        items = self._items(pair)
-        if not items:
+        """Erases what the set holds and own picks on their way; it is held until these are final,
+        since it names the revision of the set that they make.
+        """
+        items, coming = self._items(pair), self._coming(pair)
+        if not items and not coming:
             return None
-        self._remember(Deed(removed=tuple(Pick.made_by(c) for c in items)))
-        ticket = self.outbox.post("clear", pair, self.sets[pair].revision)
+        picks = (*(Pick.made_by(c) for c in items), *(t.pick for t in coming if t.pick))
+        self._remember(Deed(removed=tuple(p for p in picks if p not in self._withdrawn)))
+        self._withdrawn = [pick for pick in self._withdrawn if pick.pair != pair]
+        known = self.sets.get(pair)
+        ticket = self.outbox.post("clear", pair, known.revision if known else 0)
+        ticket.held = True
+        seen = frozenset(c.id for c in known.items) if known else frozenset()
+        self._clears.append(HeldClear(ticket, seen, coming))
         self._erasing.setdefault(pair, {}).update({c.id: ticket for c in items})
         return ticket
 
@@ -83,7 +97,12 @@ class Workbook:
         there = {c.id for c in known.items}
         erasing = self._erasing.get(pair, {})
         self._erasing[pair] = {id: ticket for id, ticket in erasing.items() if id in there}
-        self._settling = [t for t in self._settling if not (t.pick and self._named(t.pick))]
+        for clear in self._clears:
+            if clear.pair == pair:
+                self._erasing[pair].update(dict.fromkeys(clear.named(known), clear.ticket))
+        for ticket in (*self._settling, *self.outbox.open):
+            ticket.arrived |= self._is_shown(ticket)
+        self._settling = [ticket for ticket in self._settling if not ticket.arrived]
         self._erase_withdrawn()
         return True
 
@@ -94,6 +113,28 @@ class Workbook:
             self._settle(ticket)
         self._erase_withdrawn()
         return settled
+
+    def sendable(self) -> tuple[Ticket, ...]:
+        """Open tickets that can be sent now, in order."""
+        for clear in tuple(self._clears):
+            pair = clear.pair
+            stale = any(t.update.i == pair[0] and t.update.j == pair[1] for t in self._settling)
+            stale |= any(t.final for t in self._erasing.get(pair, {}).values())
+            if clear.is_ready(self.outbox.open, stale, self.clock()):
+                self._clears.remove(clear)
+                self._settling = [t for t in self._settling if t not in clear.covers]
+                erased = clear.release(self.sets.get(pair))
+                self._erasing.setdefault(pair, {}).update(dict.fromkeys(erased, clear.ticket))
+        return self.outbox.sendable
+
+    def restart(self) -> None:
+        """Begins anew with a server that has lost its journal: what it had accepted is gone."""
+        for ticket in self.outbox.restart():
+            self._settle(ticket)
+        self._settling.clear()
+        self._erasing.clear()
+        for clear in self._clears:
+            clear.seen = frozenset()
 
     def forget_other_servers(self, epoch: str) -> None:
         """Drops the sets of earlier server epochs: only the present server's word counts."""
@@ -119,10 +160,11 @@ class Workbook:
             )
             for c in sorted(known.items if known else (), key=lambda c: c.id)
         ]
+        cleared = {ticket for clear in self._clears for ticket in clear.covers}
         for ticket in (*self._settling, *self.outbox.open):
-            if ticket.pick and ticket.pick.pair == pair and not self._named(ticket.pick):
-                undone = ticket.pick in self._withdrawn
-                entries.append(Entry(ticket.pick, "erasing" if undone else "pending"))
+            if ticket.pick and ticket.pick.pair == pair and not ticket.arrived:
+                erased = ticket in cleared or ticket.pick in self._withdrawn
+                entries.append(Entry(ticket.pick, "erasing" if erased else "pending"))
         rejected = self._rejected.get(pair, [])
         return entries + [Entry(pick, "rejected", note=reason) for pick, reason in rejected]
 
@@ -136,6 +178,30 @@ class Workbook:
 
     def _named(self, pick: Pick) -> bool:
         return self.find(pick) is not None
+
+    def _coming(self, pair: Pair) -> tuple[Ticket, ...]:
+        """Own picks on their way that no set shows and no clear erases yet."""
+        cleared = {ticket for clear in self._clears for ticket in clear.covers}
+        return tuple(
+            ticket
+            for ticket in (*self._settling, *self.outbox.open)
+            if ticket.pick and ticket.pick.pair == pair
+            if not ticket.arrived and ticket not in cleared
+        )
+
+    def _is_shown(self, ticket: Ticket) -> bool:
+        """Whether the set shows what a ticket added. The same pick may have been there before; that
+        one is being erased by an update which came before the ticket.
+        """
+        if ticket.pick is None or ticket.pick.pair not in self.sets:
+            return False
+        erasing = self._erasing.get(ticket.pick.pair, {})
+        for known in self.sets[ticket.pick.pair].items:
+            eraser = erasing.get(known.id)
+            later = eraser is None or eraser.update.n > ticket.update.n
+            if later and Pick.made_by(known) == ticket.pick:
+                return True
+        return False
 
     def _post_add(self, pick: Pick) -> Ticket:
         known = self.sets.get(pick.pair)
@@ -200,5 +266,5 @@ class Workbook:
         elif ticket.reason is not None:
             self._rejected.setdefault(pair, []).append((pick, ticket.reason))
             self._withdrawn = [other for other in self._withdrawn if other != pick]
-        elif not self._named(pick):
+        elif not ticket.arrived:
             self._settling.append(ticket)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from textwrap import wrap
 
 import cv2
 import numpy as np
@@ -11,7 +12,8 @@ from textual.binding import Binding
 from textual.message import Message
 from textual.strip import Strip
 
-from hmi_client.errors import OperatorError
+from hmi_client.errors import OperatorError, PictureError
+from hmi_client.jpeg import frame_of
 from hmi_client.model import Entry, Picture, PixelUV
 from hmi_client.session import OperatorSession
 from hmi_client.text.cells import MARKER_COLOURS, HalfBlocks, Image, Window, sample, style
@@ -100,7 +102,7 @@ class ImagePanel(Panel):
         self.cursor: PixelUV = (0.0, 0.0)
         self.zoom = 1.0
         self._robot: str | None = None
-        self._view: ViewName | None = None
+        self._picture: Picture | None = None
         self._image: Image | None = None
         self._scale = 1
         self._centre: PixelUV = (0.0, 0.0)
@@ -109,6 +111,10 @@ class ImagePanel(Panel):
         self._arrangement: Arrangement | None = None
 
     # ---- what is shown ---------------------------------------------------------------------------
+
+    @property
+    def _view(self) -> ViewName | None:
+        return self._picture.view if self._picture else None
 
     @property
     def image_size(self) -> tuple[int, int] | None:
@@ -123,11 +129,18 @@ class ImagePanel(Panel):
         robot = pair[self.side] if pair else None
         picture = self.session.picture(robot) if robot else None
         if robot != self._robot:
-            self._robot, self._image, self._view = robot, None, None
+            self._robot, self._image, self._picture = robot, None, None
         if picture is None or picture.view == self._view:
             return
         first = self._image is None
-        self._image, self._view, self._scale = decoded(picture), picture.view, picture.scale
+        try:
+            self._image = decoded(picture)
+        except PictureError as error:
+            self._image, self._picture = None, None
+            self.session.drop(f"image of {robot}", error)
+            self.session.on_unreadable(picture.view.robot, str(error), picture.view)
+            return
+        self._picture, self._scale = picture, picture.scale
         if first and self.image_size is not None:
             self.zoom = 1.0
             self.cursor = (self.image_size[0] // 2, self.image_size[1] // 2)
@@ -159,16 +172,24 @@ class ImagePanel(Panel):
 
     def _titles(self) -> None:
         frozen = "  FROZEN" if self.session.frozen else ""
+        keeping = self.session.keeping(self._robot) if self._robot else ""
         view = f"  view {self._view.seq}" if self._view else ""
-        self.title(f"{self._robot or 'no robot'}{view}{frozen}")
+        self.title(f"{self._robot or 'no robot'}{view}{frozen}{keeping and '  ' + keeping}")
         u, v = self.cursor
         place = f"{u:.0f}, {v:.0f} px" + (f"  x{self.zoom:.1f}" if self.zoom > 1 else "")
-        self.subtitle(place if self._image is not None else "")
+        notice = self.session.picture_notice(self._robot) if self._robot else ""
+        self.subtitle(notice or place if self._image is not None else "")
 
     def _waiting(self, columns: int, rows: int) -> list[Strip]:
-        text = f"waiting for the image of {self._robot}" if self._robot else "select two robots"
+        """Why there is no image, over as many lines as it takes."""
+        text = "select two robots"
+        if self._robot:
+            text = self.session.picture_notice(self._robot)
+            text = text or f"waiting for the image of {self._robot}"
+        said = wrap(text, columns)[:rows]
         lines = [Strip.blank(columns, RESTING)] * rows
-        lines[rows // 2] = Strip([Segment(text.center(columns)[:columns], RESTING)], columns)
+        for row, line in enumerate(said, start=(rows - len(said)) // 2):
+            lines[row] = Strip([Segment(line.center(columns), RESTING)], columns)
         return lines
 
     def _markers(self) -> list[tuple[int, PixelUV, Entry]]:
@@ -255,7 +276,7 @@ class ImagePanel(Panel):
 
     def action_pick(self) -> None:
         try:
-            ticket = self.session.pick(self.side, self.cursor)
+            ticket = self.session.pick(self.side, self.cursor, self._picture)
         except OperatorError as error:
             self.notify(str(error), severity="warning", timeout=4)
             return
@@ -284,10 +305,21 @@ class ImagePanel(Panel):
         self.action_zoom(1 / 1.5)
 
 
-def decoded(picture: Picture) -> Image | None:
-    """The picture as (H, W, 3) BGR; none if it is no image."""
-    image = cv2.imdecode(np.frombuffer(picture.jpeg, np.uint8), cv2.IMREAD_COLOR)
-    return None if image is None else np.asarray(image, np.uint8)
+def decoded(picture: Picture) -> Image:
+    """The picture as (H, W, 3) BGR, in the sensor's own orientation.
+
+    Raises:
+        PictureError: it is no image that can be shown; nothing large was allocated for it.
+    """
+    frame = frame_of(picture.jpeg)
+    how = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    try:
+        image = cv2.imdecode(np.frombuffer(picture.jpeg, np.uint8), how)
+    except cv2.error as error:
+        raise PictureError("its pixels are damaged") from error
+    if image is None or image.shape[:2] != (frame.height, frame.width):
+        raise PictureError("its pixels are damaged")
+    return np.asarray(image, np.uint8)
 
 
 def marker_colour(number: int) -> str:

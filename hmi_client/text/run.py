@@ -3,7 +3,10 @@
 import asyncio
 import logging
 import os
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr
 from pathlib import Path
 
 from hmi_client.connection import Connection
@@ -16,13 +19,14 @@ RETRY_TIMEOUT_S = 2.0  # per attempt to reach the router; the screen is there me
 
 def run_screen(where: Connection, fps: float, threshold_m: float, log: Path | None) -> None:
     """Runs the app until the operator quits; it also starts without a router and waits for one."""
-    log_to_file(log or default_log())
+    log = log or default_log()
+    log_to_file(log)
     session = OperatorSession(where.operator, threshold_m=threshold_m)
     client = where.client(session, RETRY_TIMEOUT_S)
-    app = FleetApp(session, fps, lambda: client.failure)
     client.start_in_background()
     try:
-        app.run()
+        with own_stderr(log):
+            FleetApp(session, fps, lambda: client.failure).run()
     finally:
         client.close()
 
@@ -107,3 +111,21 @@ def log_to_file(path: Path) -> None:
         raise OperatorError(f"log file {path} cannot be written: {error.strerror}") from error
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+
+
+@contextmanager
+def own_stderr(log: Path) -> Iterator[None]:
+    """Keeps stderr for the screen, which is drawn there: what libraries in C write to descriptor 2
+    themselves, such as the JPEG decoder's complaints, goes to the log.
+    """
+    before, real = sys.__stderr__, os.dup(2)
+    with log.open("ab") as file, os.fdopen(real, "w", encoding="utf-8") as screen:
+        os.dup2(file.fileno(), 2)
+        sys.__dict__["__stderr__"] = screen
+        try:
+            with redirect_stderr(screen):
+                yield
+        finally:
+            screen.flush()
+            sys.__dict__["__stderr__"] = before
+            os.dup2(real, 2)

@@ -4,7 +4,7 @@ from rich.segment import Segment
 from rich.style import Style
 from textual.strip import Strip
 
-from hmi_client.advice import SILENT_S, confirmation, next_step, reason
+from hmi_client.advice import confirmation, next_step, reason
 from hmi_client.session import OperatorSession
 from hmi_client.text.cells import style
 from hmi_client.text.panel import PanelMixin
@@ -25,13 +25,15 @@ class StatusPanel(PanelMixin):
 
     def paint(self) -> list[Strip]:
         session, width = self.session, self.extent.width
-        silent = session.silence_s > SILENT_S
-        confirmed = confirmation(session) + " "
+        silent = session.silent
+        dropped = session.drops.total()
+        confirmed = f"dropped {dropped}  " if dropped else ""
+        confirmed += confirmation(session) + " "
         event = (session.events[-1] if session.events else "")[: max(width - len(confirmed) - 2, 0)]
         last = Strip(
             [
                 Segment(f" {event}".ljust(width - len(confirmed)), EVENT),
-                Segment(confirmed, OPEN if session.open_updates() else EVENT),
+                Segment(confirmed, OPEN if session.unconfirmed else EVENT),
             ],
         )
         lines = [

@@ -1,37 +1,27 @@
-"""A small pose server with robots, for tests of the operator's clients, over real zenoh."""
+"""Messages of a small fleet, for tests of the operator's clients."""
 
 import math
-import threading
 import time
 from collections.abc import Callable
 
 import numpy as np
 
-from protocol.codec import encoding_of, pack, unpack
-from protocol.keys import Keys, ordered_pair
+from protocol.keys import ordered_pair
 from protocol.messages import (
+    Alignment,
     Camera,
-    Correspondence,
     FleetState,
-    ImageHeader,
-    KeptView,
     NoiseModel,
-    OperatorUpdate,
     PairCell,
-    PairCorrespondences,
     Question,
-    Receipts,
-    Rejection,
     RobotPose,
     RobotState,
     Salient,
     ScatteredCloud,
-    Selection,
     ServerStatus,
     View,
     ViewName,
 )
-from protocol.transport import Answer, Link, Sample, SessionSettings, Slots, open_session
 
 EPOCH = "0123456789ab"
 ROBOT_EPOCH = "a0b1c2d3e4f5"
@@ -138,166 +128,6 @@ def fleet(count: int = 6, n: int = 1, seq: int = 7, **changes) -> FleetState:
     return FleetState(**(fields | changes))
 
 
-class FakeServer:
-    """Publishes the state at 5 Hz and pictures at 4 Hz, answers updates with receipts.
-
-    Args:
-        endpoint: of the router.
-        count: robots.
-        pictures: JPEG of a robot; none leaves the robots without images.
-        live: publish images; if not, they are only given on request.
-        mute: take updates, but never answer.
-    """
-
-    def __init__(
-        self,
-        endpoint: str,
-        count: int = 6,
-        pictures: Callable[[str, int], bytes] | None = None,
-        live: bool = True,
-        mute: bool = False,
-    ) -> None:
-        self.count, self.pictures, self.live, self.mute = count, pictures, live, mute
-        self.updates: list[OperatorUpdate] = []
-        self.selections: list[Selection] = []
-        self.sets: dict[tuple[str, str], PairCorrespondences] = {}
-        self._done: dict[str, int] = {}
-        self._rejections: dict[str, list[Rejection]] = {}
-        self._receipts: dict[str, object] = {}
-        self._publishers: dict[tuple[str, str], object] = {}
-        self._next_id = 1
-        self._seq = 7
-        self._stop = threading.Event()
-        self.keys = Keys("demo")
-        self.link = Link(open_session(SessionSettings(connect=(endpoint,))))
-        self._inbox: list[Sample] = []
-        self._changed = threading.Condition()
-        self.link.on_latched(self.keys.updates("*"), self._store)
-        self.link.on_latched(self.keys.selection("*"), self._store)
-        self._state = self.link.latched(self.keys.state)
-        self._status = self.link.latched(self.keys.status)
-        robots = [r.robot for r in ring(count)]
-        self._images = {r: self.link.bulk(self.keys.image(r)) for r in robots} if pictures else {}
-        for robot in robots if pictures else ():
-            self.link.queryable(
-                self.keys.view(robot), lambda asked, r=robot: self._kept(r, int(asked["seq"]))
-            )
-        self._threads = [
-            threading.Thread(target=self._publish, daemon=True),
-            threading.Thread(target=self._answer, daemon=True),
-        ]
-        for thread in self._threads:
-            thread.start()
-
-    def close(self) -> None:
-        self._stop.set()
-        with self._changed:
-            self._changed.notify_all()
-        for thread in self._threads:
-            thread.join(5.0)
-        self.link.close()
-
-    def image_wanted(self, robot: str) -> bool:
-        return self._images[robot].wanted
-
-    def _store(self, sample: Sample) -> None:
-        with self._changed:
-            self._inbox.append(sample)
-            self._changed.notify_all()
-
-    def _publish(self) -> None:
-        for n in range(1, 10**6):
-            state = fleet(self.count, n, self._seq)
-            self._state.put(pack(state), encoding_of(FleetState))
-            self._status.put(pack(status(n)), encoding_of(ServerStatus))
-            if self.live:
-                for robot, publisher in self._images.items():
-                    if publisher.wanted:
-                        header = ImageHeader(view=view(robot, self._seq), stamp_ns=0)
-                        publisher.put(self.pictures(robot, self._seq), "image/jpeg", pack(header))
-            if self._stop.wait(0.2):
-                return
-            self._seq += 1 if self.live and n % 5 == 0 else 0
-
-    def _kept(self, robot: str, seq: int) -> Answer:
-        kept = KeptView(
-            view=empty_view(view(robot, seq)),
-            jpeg=self.pictures(robot, seq),
-            image=ImageHeader(view=view(robot, seq), stamp_ns=0),
-        )
-        return Answer(pack(kept), encoding_of(KeptView))
-
-    def _answer(self) -> None:
-        while not self._stop.is_set():
-            with self._changed:
-                self._changed.wait_for(lambda: self._inbox or self._stop.is_set())
-                samples, self._inbox = self._inbox, []
-            for sample in samples:
-                if sample.key.endswith("/selection"):
-                    self.selections.append(unpack(Selection, sample.payload))
-                else:
-                    self._take(unpack(OperatorUpdate, sample.payload, sample.encoding))
-
-    def _take(self, update: OperatorUpdate) -> None:
-        self.updates.append(update)
-        done = self._done.get(update.session, 0)
-        if self.mute or update.n > done + 1:
-            return
-        if update.n == done + 1:
-            self._done[update.session] = update.n
-            reason = self._apply(update)
-            if reason:
-                rejection = Rejection(n=update.n, reason=reason)
-                self._rejections.setdefault(update.session, []).append(rejection)
-        receipts = Receipts(
-            operator=update.operator,
-            session=update.session,
-            n=self._done[update.session],
-            rejections=tuple(self._rejections.get(update.session, ())[-100:]),
-            server_epoch=EPOCH,
-        )
-        self._put(self.keys.receipts(update.operator), receipts)
-
-    def _apply(self, update: OperatorUpdate) -> str | None:
-        pair = (update.i, update.j)
-        old = self.sets.get(pair)
-        items = list(old.items) if old else []
-        if update.action == "add":
-            if max(update.pixel_i[0], update.pixel_j[0]) > NO_DEPTH_U:
-                return "the pixel has no depth"
-            items.append(
-                Correspondence(
-                    id=self._next_id,
-                    operator=update.operator,
-                    view_i=update.view_i,
-                    view_j=update.view_j,
-                    pixel_i=update.pixel_i,
-                    pixel_j=update.pixel_j,
-                    status="accepted",
-                    residual_m=0.012,
-                    residual_px=0.8,
-                )
-            )
-            self._next_id += 1
-        elif update.action == "erase":
-            kept = [c for c in items if c.id != update.correspondence]
-            if len(kept) == len(items):
-                return f"no correspondence {update.correspondence}"
-            items = kept
-        else:
-            items = []
-        revision = old.revision + 1 if old else 1
-        self.sets[pair] = PairCorrespondences(
-            i=pair[0], j=pair[1], revision=revision, items=tuple(items), server_epoch=EPOCH
-        )
-        self._put(self.keys.correspondences(*pair), self.sets[pair])
-        return None
-
-    def _put(self, key: str, message) -> None:
-        publisher = self._publishers.setdefault(key, self.link.latched(key))
-        publisher.put(pack(message), encoding_of(type(message)))
-
-
 def status(n: int = 1) -> ServerStatus:
     return ServerStatus(
         server_epoch=EPOCH,
@@ -315,21 +145,42 @@ def status(n: int = 1) -> ServerStatus:
     )
 
 
+def alignment(i: str, j: str, **changes) -> Alignment:
+    fields = {
+        "view_i": view(i),
+        "view_j": view(j),
+        "T_i_j": None,
+        "covariance": None,
+        "information": None,
+        "verdict": "rejected",
+        "reasons": ("only 4 inliers, need 12", "overlap 3 %"),
+        "regression_error_m2": 0.0,
+        "regression_count": 0,
+        "rmse_m": 0.2,
+        "overlap": 0.03,
+        "inliers": 4,
+        "start": "features",
+        "timings_ms": {},
+        "server_epoch": EPOCH,
+        "n": 1,
+    }
+    return Alignment(**(fields | changes))
+
+
+CAMERA = Camera(
+    width=640,
+    height=480,
+    K=np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]),
+    T_robot_camera=np.eye(4),
+    noise=NoiseModel(pixel_sigma_px=0.5, depth_sigma_m=(0.0, 0.0, 0.01)),
+    kind="views",
+)
+
+
 def empty_view(name: ViewName) -> View:
-    camera = Camera(
-        width=640,
-        height=480,
-        K=np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]),
-        T_robot_camera=np.eye(4),
-        noise=NoiseModel(pixel_sigma_px=0.5, depth_sigma_m=(0.0, 0.0, 0.01)),
-        kind="views",
-    )
     cloud = ScatteredCloud(count=0, pixel_step_px=1 / 64, depth_step_m=0.001, data=b"")
     salient = Salient(extractor="rootsift", count=0, descriptor_bytes=128, data=b"")
-    return View(name=name, stamp_ns=0, camera=camera, cloud=cloud, salient=salient)
-
-
-__all__ = ["FakeServer", "Slots", "fleet", "pose", "ring", "status", "view", "wait_for"]
+    return View(name=name, stamp_ns=0, camera=CAMERA, cloud=cloud, salient=salient)
 
 
 def wait_for(condition: Callable[[], object], timeout_s: float = 10.0) -> None:

@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from hmi_fakes import wait_for
+from hmi_fakes import alignment, wait_for
 
 from hmi_client.__main__ import main
 from protocol.transport import free_port
@@ -123,10 +123,52 @@ def test_status_shows_robots_and_questions(hmi, serve):
     assert "r5 - r6" in output and "it would join two parts of the fleet" in output
 
 
-def test_why_gives_the_reason(hmi, serve):
+def test_why_gives_the_reason_what_is_known_and_what_to_do(hmi, serve):
+    server = serve()
+    server.put(server.keys.alignment("r4", "r6"), alignment("r4", "r6"))
+    hmi("correspondences", "add", "r4", "r6", "1,2,3,4")
+    output = hmi("why", "r6", code=1)
+    assert "r6 is not located: alive, but no pair" in output
+    assert "newest view r6/" in output and "5 views kept" in output and "no pose" in output
+    assert "question 1: r5 - r6: it would join two parts of the fleet" in output
+    assert "next: click the same points in the images of r5 and r6" in output
+    table = [line.split() for line in output.splitlines() if line.startswith("r")][1:]
+    assert [row[:2] for row in table] == [
+        ["r5", "verified"],
+        ["r4", "plausible"],
+        ["r3", "through"],
+    ]
+    assert "only 4 inliers, need 12; overlap 3 %" in output and "1 accepted" in output
+    assert "2 never" in output
+
+
+def test_why_of_a_located_robot_exits_with_0(hmi, serve):
     serve()
-    assert "r6 is not located: alive, but no pair" in hmi("why", "r6")
-    assert "r1 is located" in hmi("why", "r1")
+    output = hmi("why", "r3")
+    assert "r3 is located" in output and "next: nothing" in output
+    assert "0.3 s old" in output
+
+
+def test_why_as_json_has_the_same(hmi, serve):
+    server = serve()
+    server.put(server.keys.alignment("r5", "r6"), alignment("r5", "r6", verdict="verified"))
+    record = json.loads(hmi("why", "r6", "--json", code=1))
+    assert (record["alive"], record["located"], record["pose"]) == (True, False, None)
+    assert record["pairs"][0]["other"] == "r5"
+    assert record["pairs"][0]["alignment"]["reasons"][0] == "only 4 inliers, need 12"
+    assert record["question"]["rank"] == 1 and record["next"].startswith("click")
+
+
+def test_why_does_not_disturb_selection_and_images(hmi, serve):
+    server = serve()
+    hmi("why", "r6", code=1)
+    assert all(s.i is None for s in server.selections)
+
+
+def test_why_names_the_robots_there_are_and_a_missing_server(hmi, serve):
+    assert "no pose server" in hmi("why", "r6", code=3)
+    serve()
+    assert "known robots: r1, r2" in hmi("why", "r99", code=2)
 
 
 def test_watch_prints_json_lines_of_what_changes(hmi, serve):

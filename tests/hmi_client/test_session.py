@@ -160,6 +160,7 @@ def test_first_pick_freezes_both_pictures_and_the_commit_names_these_views(sessi
     ticket = session.pick(1, B)
     assert (ticket.update.view_i, ticket.update.view_j) == (view("r1", 7), view("r2", 7))
     assert not session.frozen and session.half is None
+    session.on_fleet(fleet(6, n=2, seq=8))
     assert session.picture("r2").view == view("r2", 8)
     assert session.selection().view_i is None
 

@@ -1,0 +1,152 @@
+"""Server, router and robots killed at random moments while an operator clicks."""
+
+import itertools
+import random
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from deploy.local_fleet import LocalFleet, wait_running
+from evaluation.faults.clicker import Clicker, Places
+from evaluation.fleet import FleetPlan, open_link, plan_world, start, wait_started
+from evaluation.observer import Observer
+from protocol.errors import FleetPoseError
+from protocol.keys import Keys
+from protocol.transport import Link, wait_until
+
+ROBOTS = 3
+CLICKS_PER_S = 60.0
+UP_WITHIN_S = 60.0
+SETTLED_WITHIN_S = 30.0
+_PAUSE_S = (0.2, 1.5)  # between everything running again and the next kill
+_TARGETS = ("server",) * 7 + ("router",) * 2 + ("robot",)
+_MIN_PLACES = 30
+
+
+@dataclass
+class Crashes:
+    """What was noted at each kill.
+
+    Attributes:
+        in_flight: updates that were put and not receipted, at each kill.
+        recovery_s: from each kill to the next receipt.
+        server_poses_s: from the server's token to a new pose of every robot, per killed server.
+        router_poses_s: from the router accepting to a new pose of every robot.
+    """
+
+    in_flight: list[int] = field(default_factory=list)
+    recovery_s: list[float] = field(default_factory=list)
+    server_poses_s: list[float] = field(default_factory=list)
+    router_poses_s: list[float] = field(default_factory=list)
+
+
+def run(kills: int, scratch: Path, logs: Path, progress: Any, seed: int) -> dict[str, Any]:
+    """Runs a small fleet, kills its processes and counts what the operator lost.
+
+    Raises:
+        FleetPoseError: the fleet does not come up, or not again.
+    """
+    chance = random.Random(seed)
+    plan = plan_world([f"r{k + 1}" for k in range(ROBOTS)], scratch, moving=False, seed=0)
+    noted = Crashes()
+    with LocalFleet(logs) as fleet, ExitStack() as closing:
+        start(fleet, plan, 2, scratch / "state")
+        link = open_link(fleet)
+        closing.callback(link.close)
+        observer = Observer(link, Keys(fleet.site))
+        closing.callback(observer.close)
+        wait_started(fleet, observer, ROBOTS)
+        clicker = Clicker(link, Keys(fleet.site), _places(fleet, plan, observer), CLICKS_PER_S)
+        closing.callback(clicker.close)
+        clicker.start()
+        for _ in range(kills):
+            target = chance.choice(_TARGETS)
+            target = chance.choice(plan.names) if target == "robot" else target
+            time.sleep(chance.uniform(*_PAUSE_S))
+            _kill(fleet, observer, clicker, target, noted)
+            progress()
+        clicker.pause()
+        settled = clicker.settled(SETTLED_WITHIN_S)
+        told = _restart_and_hear_all(fleet, observer, link)
+        account = clicker.account()
+    for sentence in (*account.lost[:10], *account.doubled[:10]):
+        print(sentence)
+    return {
+        "kills": kills,
+        "receipted": clicker.receipted,
+        "rejected": dict(clicker.reasons()),
+        "settled": settled and told,
+        "in_flight_at_kill": sum(noted.in_flight),
+        "lost": len(account.lost),
+        "doubled": len(account.doubled),
+        "recovery_s": noted.recovery_s,
+        "poses_after_server_s": max(noted.server_poses_s, default=None),
+        "poses_after_router_s": max(noted.router_poses_s, default=None),
+        "leftover_processes": fleet.leftover_processes(),
+    }
+
+
+def _places(fleet: LocalFleet, plan: FleetPlan, observer: Observer) -> list[Places]:
+    """Where every pair that sees anything in common can be clicked, by the truth."""
+
+    def found() -> list[Places]:
+        views = [observer.newest_view(name) for name in plan.names]
+        pairs = itertools.combinations([view for view in views if view is not None], 2)
+        places = [Places(i, j, *plan.truth.correspondences(i, j)) for i, j in pairs]
+        return [one for one in places if len(one.uv_i) >= _MIN_PLACES]
+
+    everybody = wait_running(
+        fleet, lambda: all(observer.newest_view(name) for name in plan.names), UP_WITHIN_S
+    )
+    places = found() if everybody else []
+    if not places:
+        raise FleetPoseError(f"no two robots see the same; the logs are in {fleet.directory}")
+    return places
+
+
+def _kill(
+    fleet: LocalFleet, observer: Observer, clicker: Clicker, target: str, noted: Crashes
+) -> None:
+    """Kills a process, starts it again as a supervisor would, and waits until all flows."""
+    noted.in_flight.append(clicker.in_flight())
+    killed_s = time.monotonic()
+    fleet.kill(target)
+    fleet.restart(target)
+    if target == "router":
+        fleet.wait_accepting()
+        noted.router_poses_s.append(_poses_anew(fleet, observer, time.monotonic()))
+    elif target == "server":
+        before = observer.server_epochs()
+        if not wait_running(fleet, lambda: bool(observer.server_epochs() - before), UP_WITHIN_S):
+            raise FleetPoseError(f"the server is not back; its log ends:\n{fleet.tail('server')}")
+        noted.server_poses_s.append(_poses_anew(fleet, observer, time.monotonic()))
+    elif not wait_running(fleet, lambda: observer.alive_robots() == ROBOTS, UP_WITHIN_S):
+        raise FleetPoseError(f"{target} is not back; its log ends:\n{fleet.tail(target)}")
+    if not wait_running(fleet, lambda: clicker.first_receipt_s(killed_s) is not None, UP_WITHIN_S):
+        raise FleetPoseError(f"no receipts after {target} was killed; logs: {fleet.directory}")
+    first_s = clicker.first_receipt_s(killed_s)
+    assert first_s is not None
+    noted.recovery_s.append(first_s - killed_s)
+
+
+def _poses_anew(fleet: LocalFleet, observer: Observer, since_s: float) -> float:
+    """Waits for a new pose of every robot; seconds from the given moment to the last of them."""
+
+    def times() -> list[float | None]:
+        robots = list(observer.poses())
+        return [observer.first_pose_s((robot,), since_s) for robot in robots]
+
+    if not wait_running(fleet, lambda: all(at is not None for at in times()), UP_WITHIN_S):
+        raise FleetPoseError(f"poses do not flow again; logs: {fleet.directory}")
+    return max((at - since_s for at in times() if at is not None), default=0.0)
+
+
+def _restart_and_hear_all(fleet: LocalFleet, observer: Observer, link: Link) -> bool:
+    """Ends and starts the server in good order, so that what it then tells is what it kept."""
+    before = observer.server_epochs()
+    fleet.restart("server")
+    anew = wait_running(fleet, lambda: bool(observer.server_epochs() - before), UP_WITHIN_S)
+    states = observer.states_heard
+    return anew and wait_until(lambda: observer.states_heard > states + 2, UP_WITHIN_S)

@@ -1,0 +1,252 @@
+"""What a session knows: the server's word about the fleet, and the pictures of the robots.
+
+No screen, no network, and no clock but the one given.
+"""
+
+from collections.abc import Callable
+
+from hmi_client.changes import Changes
+from hmi_client.errors import OperatorError
+from hmi_client.gallery import Gallery, Keeping
+from hmi_client.matrix import natural
+from hmi_client.model import Entry, Pair, Pick, Picture, new_events
+from hmi_client.workbook import Workbook
+from protocol.messages import (
+    Alignment,
+    FleetState,
+    PairCell,
+    PairCorrespondences,
+    Question,
+    Receipts,
+    RobotPose,
+    RobotState,
+    ServerStatus,
+    ViewName,
+)
+
+SILENT_S = 2.5  # the state comes at 2 to 5 Hz; after this long without it the server counts as gone
+
+
+class Feed(Changes):
+    """The state of a session; `on_...` takes what arrives.
+
+    Args:
+        operator: the operator's name, a chunk of keys.
+        session: epoch of this life of the client; random if none is given.
+        clock: monotonic seconds.
+    """
+
+    def __init__(self, operator: str, session: str | None, clock: Callable[[], float]) -> None:
+        super().__init__(clock)
+        self.fleet: FleetState | None = None
+        self.status: ServerStatus | None = None
+        self.alignment: Alignment | None = None
+        self.pair: Pair | None = None
+        self._book = Workbook(operator, session, clock=clock)
+        self._poses: dict[str, RobotPose] = {}
+        self._gallery = Gallery()
+        self._unreadable: dict[str, str] = {}
+        self._fleet_s: float | None = None
+
+    # ---- the fleet -------------------------------------------------------------------------------
+
+    @property
+    def silence_s(self) -> float:
+        """Seconds since the server was last heard; infinite if never."""
+        return float("inf") if self._fleet_s is None else self.clock() - self._fleet_s
+
+    @property
+    def silent(self) -> bool:
+        """Whether the server counts as gone."""
+        return self.silence_s > SILENT_S
+
+    def robots(self) -> list[str]:
+        """Names of all robots, in natural order (r2 before r10)."""
+        fleet = self.fleet
+        return sorted((r.robot for r in fleet.robots), key=natural) if fleet else []
+
+    def robot(self, name: str) -> RobotState:
+        """A robot's state.
+
+        Raises:
+            OperatorError: the fleet has no such robot; the sentence names those it has.
+        """
+        for state in self.fleet.robots if self.fleet else ():
+            if state.robot == name:
+                return state
+        known = ", ".join(self.robots()) or "none"
+        raise OperatorError(f"no robot '{name}' in this fleet; known robots: {known}")
+
+    def newest_view(self, name: str) -> ViewName | None:
+        """The newest view that the server has of a robot."""
+        robots = self.fleet.robots if self.fleet else ()
+        return next((r.newest_view for r in robots if r.robot == name), None)
+
+    def poses(self) -> dict[str, RobotPose]:
+        """The newest pose of every robot that has one."""
+        with self._changed:
+            return dict(self._poses)
+
+    def cell(self, pair: Pair) -> PairCell | None:
+        """The matrix cell of a pair."""
+        cells = self.fleet.pairs if self.fleet else ()
+        return next((c for c in cells if (c.i, c.j) == pair), None)
+
+    def question(self) -> Question | None:
+        """The question about the selected pair if there is one, else the best one."""
+        questions = self.fleet.questions if self.fleet else ()
+        return next((q for q in questions if (q.i, q.j) == self.pair), next(iter(questions), None))
+
+    # ---- pictures --------------------------------------------------------------------------------
+
+    def picture(self, robot: str) -> Picture | None:
+        """The picture to show: the frozen one, else the newest whose view the server has taken.
+
+        While no server is heard it is the newest of all; one cannot pick in it yet.
+        """
+        with self._changed:
+            return self._gallery.shown(robot, self.silent)
+
+    def picture_notice(self, robot: str) -> str:
+        """Why the newest image of a robot is not shown; empty if it is."""
+        with self._changed:
+            reason = self._unreadable.get(robot)
+            if reason is not None:
+                return f"the image of {robot} cannot be read: {reason}"
+            if self._gallery.shown(robot, self.silent) is None and self._gallery.waits(robot):
+                return f"the server has not taken this view of {robot} yet"
+            return ""
+
+    @property
+    def frozen(self) -> bool:
+        return self._gallery.frozen
+
+    def keeping(self, robot: str) -> Keeping:
+        """Whether the server keeps the frozen view of a robot; empty: not frozen, or just asked."""
+        with self._changed:
+            return self._gallery.keeping(robot)
+
+    # ---- correspondences -------------------------------------------------------------------------
+
+    def entries(self, pair: Pair | None = None) -> list[Entry]:
+        """The list of a pair (default: the selected one), open and rejected ones included."""
+        pair = pair or self.pair
+        with self._changed:
+            return self._book.entries(pair) if pair else []
+
+    def sets(self) -> dict[Pair, PairCorrespondences]:
+        """The server's sets of correspondences, as far as it has told them."""
+        with self._changed:
+            return dict(self._book.sets)
+
+    def find(self, pick: Pick | None) -> int | None:
+        """The server's id of exactly this pick; none while no set shows it."""
+        with self._changed:
+            found = self._book.find(pick) if pick else None
+            return found.id if found else None
+
+    @property
+    def confirmed(self) -> int:
+        """Number of the last update of this session that the server has receipted."""
+        return self._book.outbox.confirmed
+
+    @property
+    def unconfirmed(self) -> int:
+        """How many updates no receipt covers yet."""
+        return len(self._book.outbox.open)
+
+    # ---- feeding ---------------------------------------------------------------------------------
+
+    def on_fleet(self, fleet: FleetState) -> None:
+        """Takes the server's state; that of another server epoch replaces all that was known."""
+        with self._changed:
+            old = self.fleet
+            same_server = old is not None and old.server_epoch == fleet.server_epoch
+            if old is not None and same_server and fleet.n <= old.n:
+                return
+            if old is not None and not same_server:
+                self._poses.clear()
+                self._book.forget_other_servers(fleet.server_epoch)
+                self._say("the server was started anew")
+                self._bump("correspondences", "poses")
+            anew = self.silent or not same_server
+            self.fleet, self._fleet_s = fleet, self.clock()
+            for robot in fleet.robots:
+                if robot.pose is not None:
+                    self.on_pose(robot.pose)
+                elif self._poses.pop(robot.robot, None):
+                    self._bump("poses")
+            self._follow_views(fleet, anew)
+            self._say(*new_events(old.events if old and same_server else (), fleet.events))
+            self._bump("fleet")
+
+    def _follow_views(self, fleet: FleetState, anew: bool) -> None:
+        newest = {r.robot: r.newest_view for r in fleet.robots if r.newest_view is not None}
+        changed, lost = self._gallery.follow(newest, set(fleet.pinned), self.clock(), anew)
+        for view in lost:
+            self._say(
+                f"the server does not keep view {view.seq} of {view.robot} any more: "
+                "thaw (f) and pick in a newer image"
+            )
+        if changed or anew:  # without a server other pictures were shown
+            self._bump("pictures", *(("selection",) if self.frozen else ()))
+
+    def on_pose(self, pose: RobotPose) -> None:
+        """Takes a pose unless a newer one of the same server is known."""
+        with self._changed:
+            old = self._poses.get(pose.robot)
+            epoch = self.fleet.server_epoch if self.fleet else pose.server_epoch
+            if pose.server_epoch != epoch or (
+                old and old.server_epoch == epoch and pose.n <= old.n
+            ):
+                return
+            self._poses[pose.robot] = pose
+            self._bump("poses")
+
+    def on_alignment(self, alignment: Alignment) -> None:
+        """Takes the newest alignment if it is of the selected pair."""
+        with self._changed:
+            if (alignment.view_i.robot, alignment.view_j.robot) == self.pair:
+                self.alignment = alignment
+                self._bump("alignment")
+
+    def on_status(self, status: ServerStatus) -> None:
+        with self._changed:
+            self.status = status
+            self._bump("status")
+
+    def on_picture(self, picture: Picture) -> None:
+        """Takes a picture of a selected robot; it waits until the server has taken its view, and
+        while frozen behind the frozen one.
+        """
+        with self._changed:
+            readable_again = self._unreadable.pop(picture.view.robot, None) is not None
+            if self._gallery.put(picture, self.clock()) or readable_again:
+                self._bump("pictures", *(("selection",) if self.frozen else ()))
+
+    def on_unreadable(self, robot: str, reason: str, view: ViewName | None = None) -> None:
+        """Notes that an image of a robot is none; `view` if it was taken for one before."""
+        with self._changed:
+            if view is not None:
+                self._gallery.discard(view)
+            self._unreadable[robot] = reason
+            self._bump("pictures", *(("selection",) if self.frozen else ()))
+
+    def on_correspondences(self, known: PairCorrespondences) -> None:
+        """Takes the server's set of a pair."""
+        with self._changed:
+            if self._book.on_set(known):
+                self._bump("correspondences", "updates")
+
+    def on_receipts(self, receipts: Receipts) -> None:
+        """Takes cumulative receipts; rejections are told as events and stay in the list."""
+        with self._changed:
+            current = self.fleet is not None and self.fleet.server_epoch == receipts.server_epoch
+            if current and self._book.outbox.is_forgotten_by(receipts):
+                self._book.restart()
+                self._say("the server has lost its journal: open updates are sent anew")
+            settled = self._book.on_receipts(receipts)
+            for ticket in settled:
+                if ticket.reason is not None:
+                    self._say(f"rejected: {ticket.reason}")
+            self._bump("updates", "correspondences")
