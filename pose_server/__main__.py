@@ -58,7 +58,7 @@ def run(
         print(settings.model_dump_json(indent=2))
         return
     from pose_server.build import build
-    from pose_server.service import serve
+    from pose_server.process import serve
 
     serve(lambda: build(settings))
 

@@ -1,5 +1,5 @@
-"""Views asked of their robots: those that an operator looks at and the server never got, and the
-images of those that were clicked in.
+"""Views asked of their robots: those that an operator looks at and the server never got, the images
+of those that were clicked in, and the newest of a robot that was there before the server.
 """
 
 import logging
@@ -29,20 +29,27 @@ class Fetched:
     reason: str = ""
 
 
+@dataclass(frozen=True)
+class FetchedNewest:
+    """The newest view of a robot, which was asked for because none had come."""
+
+    kept: KeptView
+
+
 class Fetcher:
     """Asks robots for views, a few at a time and each view once at a time.
 
     Args:
         keys: of the site.
         query: asks one selector with a timeout in seconds; raises a FleetPoseError.
-        store: takes each `Fetched`, in another thread.
+        store: takes each `Fetched` and `FetchedNewest`, in another thread.
     """
 
     def __init__(
         self,
         keys: Keys,
         query: Callable[[str, float], Sample],
-        store: Callable[[Fetched], None],
+        store: Callable[[Fetched | FetchedNewest], None],
     ) -> None:
         self._keys, self._query, self._store = keys, query, store
         self._asked: set[ViewName] = set()
@@ -57,23 +64,37 @@ class Fetcher:
             self._pool.submit(self._fetch, name)
         return True
 
+    def ask_newest(self, robot: str) -> None:
+        """Asks a robot for its newest view; nothing is stored where it has none."""
+        self._pool.submit(self._fetch_newest, robot)
+
     def close(self) -> None:
         """Drops what waits; what is asked now ends within its timeout."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _fetch(self, name: ViewName) -> None:
         try:
-            fetched = Fetched(name, self._answer(name))
+            fetched = Fetched(name, self._answer(name.robot, f"?seq={name.seq};epoch={name.epoch}"))
+            if fetched.kept is not None and fetched.kept.view.name != name:
+                raise CodecError(f"asked for view {name}, got {fetched.kept.view.name}")
         except FleetPoseError as error:
             log.info("view not fetched name=%s reason=%s", name, error)
             fetched = Fetched(name, None, str(error))
         self._asked.discard(name)
         self._store(fetched)
 
-    def _answer(self, name: ViewName) -> KeptView:
-        selector = f"{self._keys.view(name.robot)}?seq={name.seq};epoch={name.epoch}"
-        answer = self._query(selector, TIMEOUT_S)
+    def _fetch_newest(self, robot: str) -> None:
+        try:
+            kept = self._answer(robot)
+        except FleetPoseError as error:
+            log.info("no newest view of robot=%s reason=%s", robot, error)
+            return
+        self._store(FetchedNewest(kept))
+
+    def _answer(self, robot: str, which: str = "") -> KeptView:
+        """What a robot has, its newest view where none is named."""
+        answer = self._query(self._keys.view(robot) + which, TIMEOUT_S)
         kept = unpack(KeptView, answer.payload, answer.encoding)
-        if kept.view.name != name:
-            raise CodecError(f"asked for view {name}, got {kept.view.name}")
+        if kept.view.name.robot != robot:
+            raise CodecError(f"asked '{robot}' for a view, got {kept.view.name}")
         return kept

@@ -25,7 +25,7 @@ def newest_arrived(site: Site, robot: Robot, view: KeptView) -> None:
     if not robot.track.keyframes:
         robot.waiting = None
         new_keyframe(site, robot, view.name)
-    elif _stayed(site, robot, view, robot.track.reference):
+    elif _stayed(site, robot, view, robot.track.reference or robot.track.keyframe_near(view.name)):
         robot.waiting = None
 
 

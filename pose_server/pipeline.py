@@ -21,7 +21,7 @@ from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.tracking import Attached, accepted
 from pose_server.site import RobotPair, Site, on_keyframes
-from pose_server.views import KeptView, lift_click
+from pose_server.views import KeptView
 from protocol.errors import CodecError
 from protocol.messages import OperatorUpdate, Selection, ViewName
 
@@ -89,7 +89,7 @@ def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
     outcomes = site.book.apply(
         update,
         keeps=site.views.__contains__,
-        lift=lambda view, pixel: lift_click(site.views[view], np.asarray(pixel, np.float64)),
+        lift=lambda view, pixel: site.lifter.lift(site.views[view], np.asarray(pixel, np.float64)),
         encoded=lambda view: site.views[view].payload,
     )
     for outcome in outcomes:
@@ -103,10 +103,15 @@ def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
 
 def next_job(site: Site, now_s: float) -> Job | None:
     """What to align next: what an operator clicked and looks at, then the robots' own motion, then
-    the pair whose turn it is.
+    the pair whose turn it is. A flood of clicks leaves every other turn to the robots.
     """
-    if (job := _click_job(site) or back_job(site)) is not None:
+    if site.click_had_turn and (job := track_job(site)) is not None:
+        site.click_had_turn = False
         return job
+    if (job := _click_job(site) or back_job(site)) is not None:
+        site.click_had_turn = True
+        return job
+    site.click_had_turn = False
     site.pair_is_due = not site.pair_is_due
     joining = _pair_job(site, now_s, joining=True) if site.pair_is_due else None
     return (

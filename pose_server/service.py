@@ -6,18 +6,17 @@ Callbacks only store. One thread reads what was stored, runs the two flows of
 
 import logging
 import queue
-import signal
 import threading
 import time
-from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 
 from pose_server import pipeline, publish
 from pose_server.awaiting import Awaiting
 from pose_server.correspondences.book import Outcome
 from pose_server.correspondences.journal import Journal, StoredView
 from pose_server.correspondences.records import JournalError
-from pose_server.fetching import Fetched, Fetcher
+from pose_server.fetching import Fetched, FetchedNewest, Fetcher
 from pose_server.inbox import Asked, Inbox, Refused, Selected, TokenSeen, Updated, Wake
 from pose_server.pairs.engine import Done, Engine
 from pose_server.publish import Stamp
@@ -64,6 +63,8 @@ class Service:
         self._saw_newest: dict[str, object] = {}
         self._noted_anchor = site.anchor
         self._unclicked = False
+        self._unanswered: dict[tuple[str, str], OperatorUpdate] = {}
+        self._untold: set[tuple[str, str]] = set()
         self._imaged: set[ViewName] = set()
 
     def run(self) -> None:
@@ -108,14 +109,18 @@ class Service:
         self.journal.close()
 
     def _read_events(self) -> None:
-        """Waits for the first event up to a tick, then takes all that are there."""
-        try:
+        """Waits for the first event up to a tick, then takes what is there, but not for ever: under
+        a flood of clicks poses go on.
+        """
+        end_s = time.monotonic() + _TICK_S
+        with suppress(queue.Empty):
             event = self._queue.get(timeout=_TICK_S)
             while True:
                 self._handle(event)
+                if time.monotonic() > end_s:
+                    break
                 event = self._queue.get_nowait()
-        except queue.Empty:
-            return
+        self._answer_operators()
 
     def _handle(self, event: object) -> None:
         match event:
@@ -130,8 +135,13 @@ class Service:
                         self._fetcher.ask(view)
             case Fetched():
                 self._fetched(event)
+            case FetchedNewest():
+                self._viewed(event.kept)
             case TokenSeen():
                 pipeline.receive_token(self.site, event.robot, event.epoch, event.alive)
+                robot = self.site.robots.get(event.robot)
+                if robot is not None and robot.epoch is not None and robot.newest is None:
+                    self._fetcher.ask_newest(robot.name)
             case Asked():
                 event.answer.set_result(self._relative(event.parameters))
             case Refused():
@@ -154,6 +164,14 @@ class Service:
                 pipeline.receive_view(self.site, view)
             except (CodecError, NameRefusedError) as error:
                 self._refuse(sample, error)
+
+    def _viewed(self, kept: KeptView) -> None:
+        """Takes the newest view of a robot that was there before this server."""
+        try:
+            view = open_view(pack(kept.view), None, time.monotonic())
+            pipeline.receive_view(self.site, view)
+        except CodecError as error:
+            self._refuse(Sample(self.keys.view(kept.view.name.robot), b"", ""), error)
 
     def _start_jobs(self) -> None:
         while self._engine.idle > 0:
@@ -200,11 +218,19 @@ class Service:
         for outcome in outcomes:
             log.info("update %s/%d %s", update.operator, outcome.n, outcome.reason or "accepted")
         self._unclicked |= any(outcome.action != "add" for outcome in outcomes)
-        self._put(self.keys.receipts(update.operator), self.site.book.receipts(update, self.epoch))
-        for pair in {ordered_pair(update.i, update.j), *(outcome.pair for outcome in outcomes)}:
-            self._publish_correspondences(pair)
+        self._unanswered[update.operator, update.session] = update
+        self._untold.update((ordered_pair(update.i, update.j), *(done.pair for done in outcomes)))
         self._ask_for_images(outcomes)
-        self._next["solve"] = 0.0
+
+    def _answer_operators(self) -> None:
+        """Receipts are cumulative and sets whole: one of each does for all updates of a turn."""
+        for update in self._unanswered.values():
+            receipts = self.site.book.receipts(update, self.epoch)
+            self._put(self.keys.receipts(update.operator), receipts)
+        for pair in self._untold:
+            self._publish_correspondences(pair)
+        self._unanswered.clear()
+        self._untold.clear()
 
     def _lives(self, view: ViewName) -> bool:
         """Whether the robot that took a view is there and may still have it."""
@@ -365,28 +391,3 @@ class Service:
 
     def _stamp(self) -> Stamp:
         return Stamp(self.epoch, time.monotonic(), time.time_ns())
-
-
-def serve(build: Callable[[], Service]) -> None:
-    """Builds a service and runs it until SIGTERM or SIGINT; the session is closed whatever
-    happens.
-
-    An error in any thread that nobody expected ends the service: a crash must be seen as one.
-    """
-    service = build()
-    failures: list[BaseException] = []
-
-    def fail(failed: threading.ExceptHookArgs) -> None:
-        threading.__excepthook__(failed)
-        failures.append(failed.exc_value or RuntimeError("a thread ended"))
-        service.stopped.set()
-
-    threading.excepthook = fail
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: service.stopped.set())
-    try:
-        service.run()
-    finally:
-        service.close()
-    if failures:
-        raise failures[0]

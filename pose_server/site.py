@@ -18,6 +18,7 @@ from pose_server.geometry.se3 import (
     make_pose,
     position_covariance,
 )
+from pose_server.lifting import Lifter
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.schedule import RoundRobin
 from pose_server.pairs.tracking import Attached, Track
@@ -134,11 +135,13 @@ class Site:
     dirty: bool = False
     max_wait_s: float = 0.0
     pair_is_due: bool = False
+    click_had_turn: bool = False
     events: list[str] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     gauge: ViewName | None = None
     similarities: dict[ViewPair, float] = field(default_factory=dict)
     components: dict[str, str] = field(default_factory=dict)
+    lifter: Lifter = field(default_factory=Lifter)
 
     def robot(self, name: str) -> Robot:
         """The robot's record, made when first heard of."""

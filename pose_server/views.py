@@ -8,15 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.lift import LiftedPoint, lift_pixel
 from pose_server.geometry.matching import ratio_matches
 from pose_server.pairs.engine import EncodedView
-from pose_server.pairs.views import point_noise
-from protocol.clouds import decode_salient, decode_scattered, depth_image, grid_to_pixel, points_of
+from protocol.clouds import decode_salient, points_of
 from protocol.codec import unpack
-from protocol.errors import CodecError, FleetPoseError
-from protocol.messages import Camera, DepthCloud, View, ViewName
+from protocol.errors import CodecError
+from protocol.messages import Camera, View, ViewName
 
 KEEP_S = 60.0
 KEEP_AT_LEAST = 20
@@ -26,10 +23,6 @@ _SIGNATURE_POINTS = 300
 _SIGNATURE_RATIO = 0.85
 _STILL_MATCHES = 40
 STILL_PX = 0.15
-
-
-class NoDepthError(FleetPoseError):
-    """A click where no point can be had."""
 
 
 @dataclass(frozen=True)
@@ -127,33 +120,6 @@ def _clear_matches(a: KeptView, b: KeptView) -> npt.NDArray[np.int64]:
 def _unit(descriptors: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
     vectors = descriptors.astype(np.float32)
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-6)
-
-
-def lift_click(kept: KeptView, pixel: npt.NDArray[np.float64]) -> LiftedPoint:
-    """The 3D point under a click.
-
-    Raises:
-        NoDepthError: the pixel is outside the image or has no depth near it; the text says so.
-    """
-    camera = kept.camera
-    if not (-0.5 <= pixel[0] <= camera.width - 0.5 and -0.5 <= pixel[1] <= camera.height - 0.5):
-        raise NoDepthError(
-            f"pixel ({pixel[0]:.0f}, {pixel[1]:.0f}) is outside the image "
-            f"({camera.width}x{camera.height})"
-        )
-    cloud = unpack(View, kept.payload).cloud
-    if isinstance(cloud, DepthCloud):
-        depth = depth_image(cloud, camera)
-        rows, columns = np.nonzero(np.isfinite(depth))
-        uv = grid_to_pixel(np.column_stack((columns, rows)), cloud.scale)
-        z, radius = depth[rows, columns].astype(np.float64), 2.0 * cloud.scale
-    else:
-        uv, z = decode_scattered(cloud)
-        radius = 6.0
-    try:
-        return lift_pixel(pixel, uv, z, camera.K, point_noise(camera.noise), radius)
-    except DegenerateGeometryError as error:
-        raise NoDepthError(str(error)) from error
 
 
 class ViewStore:

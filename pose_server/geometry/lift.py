@@ -13,7 +13,7 @@ from pose_server.geometry.noise import PointNoise, covariances
 Floats = npt.NDArray[np.floating]
 
 _SAME_SURFACE = 0.03  # relative difference of inverse depth on one surface
-_NEIGHBOURS = 12
+NEIGHBOURS = 12  # that a point is lifted from, at most
 _CLICK_SIGMA_PX = 1.5
 
 
@@ -55,7 +55,7 @@ def lift_pixel(
     if len(z) == 0:
         raise DegenerateGeometryError("no depth anywhere in this view")
     distance = np.linalg.norm(uv - pixel, axis=1)
-    count = min(_NEIGHBOURS, len(z))
+    count = min(NEIGHBOURS, len(z))
     near = np.argpartition(distance, count - 1)[:count]
     near = near[np.argsort(distance[near])]
     if distance[near[0]] > radius_px:

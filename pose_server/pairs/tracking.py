@@ -91,7 +91,8 @@ class Track:
         its time), then the likeliest others; None to give up.
         """
         tried = self._tried.setdefault(view, [])
-        first = self.keyframe_near(view) if view in self.past else self.reference
+        here = None if view in self.past else self.reference  # none after a restart as well
+        first = here or self.keyframe_near(view)
         if first in self.keyframes and first not in tried:
             tried.append(first)
             return first

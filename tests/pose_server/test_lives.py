@@ -161,3 +161,31 @@ def test_a_past_view_is_hung_by_a_worker_where_the_robot_had_moved():
     pipeline.take_result(site, Done(job, run_job(job)), 0.0)
     assert site.attached(second.name) is not None
     assert site.robots["r1"].track.newest == before
+
+
+def test_a_still_robot_is_placed_at_once_after_a_restart():
+    (first,) = messages(np.eye(4))
+    site = empty_site()
+    pipeline.restore(site, [kept(first)])
+    pipeline.receive_token(site, "r1", EPOCH, True)
+    again = first.model_copy(update={"name": named(7, "r1")})
+    pipeline.receive_view(site, kept(again))
+    assert site.attached(again.name) is not None
+    assert pipeline.next_job(site, 0.0) is None
+
+
+def test_a_flood_of_clicks_leaves_every_other_turn_to_the_robots():
+    T_true = turned(15)
+    both, points = scene_with_points_to_click(np.random.default_rng(4), T_true)
+    site = site_of(*both)
+    for n, point in enumerate(points, 1):
+        pipeline.receive_update(site, click(n, point, T_true))
+    purposes = []
+    for seq in range(1, 7):
+        site.pair("r1", "r2").clicks_due, site.pair("r1", "r2").running = True, False
+        site.robots["r1"].waiting, site.robots["r1"].tracking = named(seq, "r1"), None
+        site.views.keep(kept(both[0].model_copy(update={"name": named(seq, "r1")})))
+        job = pipeline.next_job(site, 0.0)
+        assert job is not None
+        purposes.append(job.purpose)
+    assert purposes == ["clicks", "track"] * 3
