@@ -83,13 +83,37 @@ def fleet(
 @app.command()
 def faults(
     out: Out,
-    kills: Annotated[int, typer.Option(min=1, help="Processes killed at random moments.")] = 20,
-    seed: Annotated[int, typer.Option(help="Which processes, and when.")] = 0,
+    kills: Annotated[
+        int, typer.Option(min=0, help="Kill processes at random moments; 0: not this.")
+    ] = 20,
+    freeze: Annotated[
+        float, typer.Option(min=0, help="Freeze one client so many seconds; 0: not this.")
+    ] = 10.0,
+    late_clicks: Annotated[
+        int, typer.Option(min=0, help="Click in images half a minute old; 0: not this.")
+    ] = 1000,
+    seed: Annotated[int, typer.Option(help="Which processes are killed, and when.")] = 0,
 ) -> None:
-    """Kill server, router and robots under a clicking operator, and count what is lost."""
+    """Kill server, router and robots under a clicking operator, freeze a client, click late; count
+    what is lost.
+    """
     from evaluation.faults.command import run
 
-    run(kills, out, seed)
+    run(kills, freeze, late_clicks, out, seed)
+
+
+@app.command(hidden=True)
+def load(
+    robot: Annotated[list[str], typer.Option(help="NAME,CAMERA,DATA; repeatable.")],
+    connect: Annotated[list[str], typer.Option(help="Router; repeatable.")],
+    site: Annotated[str, typer.Option(help="The fleet's site.")] = "demo",
+    rate: Annotated[float, typer.Option(min=0.01, help="Views per second of each.")] = 1.0,
+    frames: Annotated[int, typer.Option(min=1, help="Of each camera, shown in turn.")] = 1,
+) -> None:
+    """Replay views of several robots that were encoded beforehand."""
+    from evaluation.load import Source, run
+
+    run([Source.parse(text) for text in robot], tuple(connect), site, rate, frames)
 
 
 @app.command()

@@ -1,35 +1,48 @@
 """Runs the faults, prints what came of them and writes `summary.json`."""
 
 import tempfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from evaluation.faults import crashes
+from evaluation.faults import crashes, frozen, late
 from evaluation.report import output_folder, print_table, progress_bar, write_summary
 from protocol.errors import FleetPoseError
 
+Scenario = Callable[[Path, Path, Callable[[], None]], dict[str, Any]]
 
-def run(kills: int, out: Path, seed: int = 0) -> dict[str, Any]:
-    """Runs everything; returns the summary.
+
+def run(kills: int, freeze_s: float, late_clicks: int, out: Path, seed: int = 0) -> dict[str, Any]:
+    """Runs what is asked for, each in a fleet of its own; returns the summary.
 
     Raises:
         FleetPoseError: a fleet does not come up, or does not come back after a fault.
     """
-    if kills < 1:
-        raise FleetPoseError(f"--kills {kills}: give 1 or more")
+    scenarios: dict[str, tuple[Scenario, int]] = {}
+    if kills:
+        scenarios["crashes"] = (partial(crashes.run, kills, seed), kills)
+    if freeze_s:
+        steps = round(freeze_s + frozen.BEFORE_S)
+        scenarios["frozen"] = (partial(frozen.run, freeze_s), steps)
+    if late_clicks:
+        rounds = -(-late_clicks // (late.DESKS * late.CLICKS_PER_ROUND))
+        steps = round(rounds * late.LATE_S)
+        scenarios["late"] = (partial(late.run, late_clicks), steps)
+    if not scenarios:
+        raise FleetPoseError("nothing to do: give --kills, --freeze or --late-clicks")
     logs = output_folder(out) / "logs"
-    with tempfile.TemporaryDirectory(prefix="fleetpose-") as scratch, progress_bar() as progress:
-        task = progress.add_task("kills", total=kills)
-        summary = crashes.run(
-            kills, Path(scratch), logs / "crashes", lambda: progress.advance(task), seed
-        )
-    summary["recovery_s_p95"] = _p95(summary.pop("recovery_s"))
+    summary: dict[str, Any] = {}
+    with progress_bar() as progress:
+        for name, (scenario, steps) in scenarios.items():
+            task = progress.add_task(name, total=steps)
+            with tempfile.TemporaryDirectory(prefix="fleetpose-") as scratch:
+                step = partial(progress.advance, task)
+                summary |= scenario(Path(scratch), logs / name, step)
+    if kills:
+        summary["recovery_s_p95"] = float(np.percentile(summary.pop("recovery_s"), 95))
     write_summary(out, summary)
     print_table("faults", ("what", "value"), summary.items())
     return summary
-
-
-def _p95(seconds: list[float]) -> float | None:
-    return float(np.percentile(seconds, 95)) if seconds else None

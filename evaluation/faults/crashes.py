@@ -3,6 +3,7 @@
 import itertools
 import random
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -42,7 +43,9 @@ class Crashes:
     router_poses_s: list[float] = field(default_factory=list)
 
 
-def run(kills: int, scratch: Path, logs: Path, progress: Any, seed: int) -> dict[str, Any]:
+def run(
+    kills: int, seed: int, scratch: Path, logs: Path, progress: Callable[[], None]
+) -> dict[str, Any]:
     """Runs a small fleet, kills its processes and counts what the operator lost.
 
     Raises:
@@ -76,7 +79,7 @@ def run(kills: int, scratch: Path, logs: Path, progress: Any, seed: int) -> dict
     return {
         "kills": kills,
         "receipted": clicker.receipted,
-        "rejected": dict(clicker.reasons()),
+        "rejected": sum(clicker.reasons().values()),
         "settled": settled and told,
         "in_flight_at_kill": sum(noted.in_flight),
         "lost": len(account.lost),
