@@ -5,14 +5,18 @@ import random
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import psutil
 
 from deploy.local_fleet import LocalFleet, wait_running
 from evaluation.faults.clicker import Clicker, Places
 from evaluation.fleet import FleetPlan, open_link, plan_world, start, wait_started
 from evaluation.observer import Observer
+from evaluation.report import write_csv
 from protocol.errors import FleetPoseError
 from protocol.keys import Keys
 from protocol.transport import Link, wait_until
@@ -22,25 +26,28 @@ CLICKS_PER_S = 60.0
 UP_WITHIN_S = 60.0
 SETTLED_WITHIN_S = 30.0
 _PAUSE_S = (0.2, 1.5)  # between everything running again and the next kill
-_TARGETS = ("server",) * 7 + ("router",) * 2 + ("robot",)
+_TARGETS = ("server",) * 6 + ("router", "router", "robot", "worker")
 _MIN_PLACES = 30
 
 
 @dataclass
-class Crashes:
-    """What was noted at each kill.
+class Kill:
+    """What was noted of one kill.
 
     Attributes:
-        in_flight: updates that were put and not receipted, at each kill.
-        recovery_s: from each kill to the next receipt.
-        server_poses_s: from the server's token to a new pose of every robot, per killed server.
-        router_poses_s: from the router accepting to a new pose of every robot.
+        target: the process.
+        in_flight: updates that were put and not receipted at that moment.
+        up_s: from the kill until it was up again: the server's token, the router's port, the
+            robot's token.
+        recovery_s: from the kill to the next receipt.
+        poses_s: from being up to a new pose of every robot; of server and router only.
     """
 
-    in_flight: list[int] = field(default_factory=list)
-    recovery_s: list[float] = field(default_factory=list)
-    server_poses_s: list[float] = field(default_factory=list)
-    router_poses_s: list[float] = field(default_factory=list)
+    target: str
+    in_flight: int
+    up_s: float = 0.0
+    recovery_s: float = 0.0
+    poses_s: float | None = None
 
 
 def run(
@@ -53,7 +60,7 @@ def run(
     """
     chance = random.Random(seed)
     plan = plan_world([f"r{k + 1}" for k in range(ROBOTS)], scratch, moving=False, seed=0)
-    noted = Crashes()
+    noted: list[Kill] = []
     with LocalFleet(logs) as fleet, ExitStack() as closing:
         start(fleet, plan, 2, scratch / "state")
         link = open_link(fleet)
@@ -68,7 +75,7 @@ def run(
             target = chance.choice(_TARGETS)
             target = chance.choice(plan.names) if target == "robot" else target
             time.sleep(chance.uniform(*_PAUSE_S))
-            _kill(fleet, observer, clicker, target, noted)
+            noted.append(_kill(fleet, observer, clicker, target))
             progress()
         clicker.pause()
         settled = clicker.settled(SETTLED_WITHIN_S)
@@ -76,19 +83,26 @@ def run(
         account = clicker.account()
     for sentence in (*account.lost[:10], *account.doubled[:10]):
         print(sentence)
+    rows = [asdict(kill) for kill in noted]
+    write_csv(logs.parent.parent / "kills.csv", [column.name for column in fields(Kill)], rows)
     return {
         "kills": kills,
         "receipted": clicker.receipted,
         "rejected": sum(clicker.reasons().values()),
         "settled": settled and told,
-        "in_flight_at_kill": sum(noted.in_flight),
+        "in_flight_at_kill": sum(kill.in_flight for kill in noted),
         "lost": len(account.lost),
         "doubled": len(account.doubled),
-        "recovery_s": noted.recovery_s,
-        "poses_after_server_s": max(noted.server_poses_s, default=None),
-        "poses_after_router_s": max(noted.router_poses_s, default=None),
+        "recovery_s_p95": float(np.percentile([kill.recovery_s for kill in noted], 95)),
+        "poses_after_server_s": _longest(noted, "server"),
+        "poses_after_router_s": _longest(noted, "router"),
         "leftover_processes": fleet.leftover_processes(),
     }
+
+
+def _longest(noted: list[Kill], target: str) -> float | None:
+    seconds = [kill.poses_s for kill in noted if kill.target == target]
+    return max((s for s in seconds if s is not None), default=None)
 
 
 def _places(fleet: LocalFleet, plan: FleetPlan, observer: Observer) -> list[Places]:
@@ -109,29 +123,33 @@ def _places(fleet: LocalFleet, plan: FleetPlan, observer: Observer) -> list[Plac
     return places
 
 
-def _kill(
-    fleet: LocalFleet, observer: Observer, clicker: Clicker, target: str, noted: Crashes
-) -> None:
+def _kill(fleet: LocalFleet, observer: Observer, clicker: Clicker, target: str) -> Kill:
     """Kills a process, starts it again as a supervisor would, and waits until all flows."""
-    noted.in_flight.append(clicker.in_flight())
-    killed_s = time.monotonic()
-    fleet.kill(target)
-    fleet.restart(target)
+    noted = Kill(target, clicker.in_flight())
+    before, killed_s = observer.server_epochs(), time.monotonic()
+    if target == "worker":  # the server starts another one
+        workers = psutil.Process(fleet.pid("server")).children()
+        max(workers, key=lambda process: process.memory_info().rss).kill()
+    else:
+        fleet.kill(target)
+        fleet.restart(target)
     if target == "router":
         fleet.wait_accepting()
-        noted.router_poses_s.append(_poses_anew(fleet, observer, time.monotonic()))
     elif target == "server":
-        before = observer.server_epochs()
         if not wait_running(fleet, lambda: bool(observer.server_epochs() - before), UP_WITHIN_S):
             raise FleetPoseError(f"the server is not back; its log ends:\n{fleet.tail('server')}")
-        noted.server_poses_s.append(_poses_anew(fleet, observer, time.monotonic()))
     elif not wait_running(fleet, lambda: observer.alive_robots() == ROBOTS, UP_WITHIN_S):
-        raise FleetPoseError(f"{target} is not back; its log ends:\n{fleet.tail(target)}")
+        raise FleetPoseError(f"{target} is not back; logs: {fleet.directory}")
+    up_s = time.monotonic()
+    noted.up_s = up_s - killed_s
+    if target in ("server", "router"):
+        noted.poses_s = _poses_anew(fleet, observer, up_s)
     if not wait_running(fleet, lambda: clicker.first_receipt_s(killed_s) is not None, UP_WITHIN_S):
         raise FleetPoseError(f"no receipts after {target} was killed; logs: {fleet.directory}")
     first_s = clicker.first_receipt_s(killed_s)
     assert first_s is not None
-    noted.recovery_s.append(first_s - killed_s)
+    noted.recovery_s = first_s - killed_s
+    return noted
 
 
 def _poses_anew(fleet: LocalFleet, observer: Observer, since_s: float) -> float:
