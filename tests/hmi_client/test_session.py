@@ -385,6 +385,6 @@ def test_a_table_of_correspondences_shows_the_id_zero(session):
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
 def test_a_pixel_that_is_no_number_is_said_and_takes_no_number_of_the_session(session, bad):
-    with pytest.raises(OperatorError, match="pixel_i.*nan or inf"):
+    with pytest.raises(OperatorError, match=r"pixel_i.*nan or inf"):
         session.add(view("r1"), (bad, 1.0), view("r2"), (3.0, 4.0))
     assert session.add(view("r1"), A, view("r2"), B).update.n == 1
