@@ -110,10 +110,17 @@ def newest(session: OperatorSession, robot: str, seq: int | None) -> ViewName:
 
 
 def wait_for_sets(session: OperatorSession) -> None:
-    """Waits until the sets that the state counts have arrived; they are latched apart from it."""
-    cells = session.fleet.pairs if session.fleet else ()
-    counted = {(cell.i, cell.j) for cell in cells if cell.correspondences}
-    _wait(session, lambda: all(p in session.sets() for p in counted), SET_TIMEOUT_S)
+    """Waits until the sets hold what the state counts: they are latched apart from it."""
+
+    def all_here() -> bool:
+        cells = session.fleet.pairs if session.fleet else ()
+        here = {pair: len(known.items) for pair, known in session.sets().items()}
+        return all(here.get((c.i, c.j), 0) == c.correspondences for c in cells)
+
+    end = time.monotonic() + SET_TIMEOUT_S
+    while not all_here() and time.monotonic() < end:
+        seen = session.revisions()
+        session.wait_change(seen, ("correspondences", "fleet"), 0.1)
 
 
 def pairs_with_any(session: OperatorSession) -> list[Pair]:

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from hmi_client.session import OperatorSession
 
 SERVER_TIMEOUT_S = 5.0
-NEXT_STATE_S = 2.0
-QUIET_S = 0.3
 
 Connect = Annotated[
     list[str],
@@ -64,20 +62,17 @@ class Connection:
         return Client(session, Keys(self.site), lambda: Link(open_session(settings)))
 
     @contextmanager
-    def server(self, whole: bool = False) -> Iterator["OperatorSession"]:
+    def server(self) -> Iterator["OperatorSession"]:
         """A session that a server has been heard in.
-
-        Args:
-            whole: wait until the server has told all its sets of correspondences as well.
 
         Raises:
             NoServerError: none was heard within 5 seconds.
         """
-        with self.client_of_server(whole) as client:
+        with self.client_of_server() as client:
             yield client.session
 
     @contextmanager
-    def client_of_server(self, whole: bool = False) -> Iterator["Client"]:
+    def client_of_server(self) -> Iterator["Client"]:
         """The same with the client around the session."""
         from hmi_client.session import OperatorSession
 
@@ -89,18 +84,7 @@ class Connection:
                     f"no pose server of site '{self.site}' answered at {where} in "
                     f"{SERVER_TIMEOUT_S:.0f} s; is 'pose-server run' running there?"
                 )
-            if whole:
-                _wait_for_sets(session)
             yield client
-
-
-def _wait_for_sets(session: "OperatorSession") -> None:
-    """A set is told once, the state again and again: once the next state has come and nothing has
-    followed it for a moment, what was told earlier is here, too.
-    """
-    session.wait_change(session.revisions(), ("fleet",), NEXT_STATE_S)
-    while session.wait_change(session.revisions(), ("correspondences",), QUIET_S):
-        pass
 
 
 def default_operator() -> str:

@@ -60,7 +60,7 @@ def erase(
     """Erases correspondences by their ids."""
     from hmi_client import clicking
 
-    with c.Connection.of(connect, site, config, operator).server(whole=True) as session:
+    with c.Connection.of(connect, site, config, operator).server() as session:
         pair = clicking.ordered(session, robot_1, robot_2)
         clicking.wait_for_sets(session)
         tickets = [session.erase(pair, id) for id in ids]
@@ -81,7 +81,7 @@ def clear(
     """Erases all correspondences of a pair."""
     from hmi_client import clicking
 
-    with c.Connection.of(connect, site, config, operator).server(whole=True) as session:
+    with c.Connection.of(connect, site, config, operator).server() as session:
         pair = clicking.ordered(session, robot_1, robot_2)
         clicking.wait_for_sets(session)
         ticket = session.clear(pair)
@@ -108,7 +108,7 @@ def list_(
 
     if bool(robot_1) != bool(robot_2):
         raise OperatorError("name two robots, or none for all pairs")
-    with c.Connection.of(connect, site, config, operator).server(whole=True) as session:
+    with c.Connection.of(connect, site, config, operator).server() as session:
         pairs = [clicking.ordered(session, robot_1, robot_2)] if robot_1 else None
         clicking.wait_for_sets(session)
         for_pairs = pairs or clicking.pairs_with_any(session)
@@ -136,7 +136,7 @@ def export(
     """Writes all correspondences to a file that 'import' reads."""
     from hmi_client import clicking, exchange
 
-    with c.Connection.of(connect, site, config, operator).server(whole=True) as session:
+    with c.Connection.of(connect, site, config, operator).server() as session:
         clicking.wait_for_sets(session)
         pairs = clicking.pairs_with_any(session)
         records = [exchange.record_of(pair, e) for pair in pairs for e in session.entries(pair)]
@@ -157,7 +157,7 @@ def import_(
     from hmi_client import clicking, exchange
 
     records = exchange.read_records(file)
-    with c.Connection.of(connect, site, config, operator).server(whole=True) as session:
+    with c.Connection.of(connect, site, config, operator).server() as session:
         clicking.wait_for_sets(session)
         picks = [
             exchange.pick_of(r, session, f"{file}, record {k}") for k, r in enumerate(records, 1)

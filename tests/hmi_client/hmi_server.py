@@ -16,6 +16,7 @@ from protocol.messages import (
     ImageHeader,
     KeptView,
     OperatorUpdate,
+    PairCell,
     PairCorrespondences,
     Receipts,
     Rejection,
@@ -149,7 +150,8 @@ class FakeServer:
                 server_epoch=self.epoch,
                 pinned=self._pinned(),
             )
-            self._state.put(pack(state), encoding_of(FleetState))
+            counted = state.model_copy(update={"pairs": tuple(map(self._counted, state.pairs))})
+            self._state.put(pack(counted), encoding_of(FleetState))
             self._status.put(pack(status(n)), encoding_of(ServerStatus))
             if self.live:
                 for robot, publisher in self._images.items():
@@ -159,6 +161,10 @@ class FakeServer:
             if self._stop.wait(0.2):
                 return
             self._seq += 1 if self.live and n % 5 == 0 else 0
+
+    def _counted(self, cell: PairCell) -> PairCell:
+        known = self.sets.get((cell.i, cell.j))
+        return cell.model_copy(update={"correspondences": len(known.items) if known else 0})
 
     def _kept(self, robot: str, seq: int) -> Answer:
         if self.robots_forget:
