@@ -30,7 +30,9 @@ _UNKNOWN = ("not kept", "no robot", "unknown")
 CLICKS_PER_ROUND = 50
 
 
-def run(clicks: int, scratch: Path, logs: Path, progress: Callable[[], None]) -> dict[str, Any]:
+def run(
+    clicks: int, scratch: Path, logs: Path, progress: Callable[[], None], late_s: float = LATE_S
+) -> dict[str, Any]:
     """Ten operators freeze their images, wait and click, until there are so many clicks.
 
     Returns:
@@ -52,7 +54,7 @@ def run(clicks: int, scratch: Path, logs: Path, progress: Callable[[], None]) ->
             ]
             while len(tickets) < clicks:
                 share = min(CLICKS_PER_ROUND, -(-(clicks - len(tickets)) // DESKS))
-                tickets += _round(fleet, plan, observer, sessions, share, progress)
+                tickets += _round(fleet, plan, observer, sessions, share, late_s, progress)
             placed = _placed(fleet, sessions[0], pairs)
     reasons = Counter(_kind(t.reason) for t in tickets if t.reason is not None)
     unknown = sum(n for reason, n in reasons.items() if any(word in reason for word in _UNKNOWN))
@@ -72,9 +74,10 @@ def _round(
     observer: Observer,
     sessions: list[OperatorSession],
     clicks: int,
+    late_s: float,
     progress: Callable[[], None],
 ) -> list[Ticket]:
-    """Every operator freezes, waits half a minute, clicks and lets go; each holds other views."""
+    """Every operator freezes, waits, clicks and lets go; each holds other views."""
     held: set[ViewName] = set()
     for session in sessions:
         new = partial(_shows_two_but, session, held)
@@ -82,7 +85,7 @@ def _round(
             raise FleetPoseError(f"{session.operator} gets no images; logs: {fleet.directory}")
         session.toggle_freeze()
         held |= _shown(session)
-    end_s = time.monotonic() + LATE_S
+    end_s = time.monotonic() + late_s
     while time.monotonic() < end_s:
         wait_until(lambda: time.monotonic() >= end_s, 1.0)
         progress()
