@@ -173,7 +173,7 @@ class Feed(Changes):
             self.fleet, self._fleet_s = fleet, self.clock()
             for robot in fleet.robots:
                 if robot.pose is not None:
-                    self.on_pose(robot.pose)
+                    self._take_pose(robot.pose, again=True)  # the state tells how old it is now
                 elif self._poses.pop(robot.robot, None):
                     self._bump("poses")
             self._follow_views(fleet, anew)
@@ -194,13 +194,17 @@ class Feed(Changes):
     def on_pose(self, pose: RobotPose) -> None:
         """Takes a pose unless a newer one of the same server is known."""
         with self._changed:
-            old = self._poses.get(pose.robot)
-            epoch = self.fleet.server_epoch if self.fleet else pose.server_epoch
-            if pose.server_epoch != epoch or (
-                old and old.server_epoch == epoch and pose.n <= old.n
-            ):
-                return
-            self._poses[pose.robot] = pose
+            self._take_pose(pose)
+
+    def _take_pose(self, pose: RobotPose, again: bool = False) -> None:
+        old = self._poses.get(pose.robot)
+        epoch = self.fleet.server_epoch if self.fleet else pose.server_epoch
+        if pose.server_epoch != epoch:
+            return
+        if old and old.server_epoch == epoch and pose.n < old.n + (not again):
+            return
+        self._poses[pose.robot] = pose
+        if not old or (pose.n, pose.located) != (old.n, old.located):
             self._bump("poses")
 
     def on_alignment(self, alignment: Alignment) -> None:

@@ -135,7 +135,8 @@ def why_text(record: Record) -> str:
         head = ("with", "verdict", "error", "overlap", "clicked", "newest alignment")
         parts.append(table(head, rows))
     more = max(0, len(record["pairs"]) - SHOWN_PAIRS)
-    parts.append(f"{more} more pairs were tried, {record['untried']} never")
+    if more or record["untried"]:
+        parts.append(f"{more} more pairs were tried, {record['untried']} never")
     question = record["question"]
     if question is not None:
         gain = f" (a click gains about {length_text(question['gain_m'])})"

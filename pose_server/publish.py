@@ -194,15 +194,7 @@ def alignment(i: ViewName, j: ViewName, result: PairResult, stamp: Stamp, n: int
 def fleet_state(site: Site, settings: ServerSettings, stamp: Stamp, n: int) -> FleetState:
     """Everything a late client needs."""
     robots = tuple(
-        RobotState(
-            robot=name,
-            alive=robot.alive,
-            newest_view=robot.newest,
-            views_kept=site.views.count(name),
-            pose=robot.published,
-            why_not=why_not_located(site, robot, settings, stamp.now_s),
-        )
-        for name, robot in sorted(site.robots.items())
+        _robot_state(site, robot, settings, stamp.now_s) for _, robot in sorted(site.robots.items())
     )
     return FleetState(
         server_epoch=stamp.epoch,
@@ -216,6 +208,24 @@ def fleet_state(site: Site, settings: ServerSettings, stamp: Stamp, n: int) -> F
         questions=questions(site),
         events=tuple(site.events),
         pinned=site.pinned(),
+    )
+
+
+def _robot_state(site: Site, robot: Robot, settings: ServerSettings, now_s: float) -> RobotState:
+    """A robot now: its last pose ages, and one that is gone is no longer located."""
+    why_not = why_not_located(site, robot, settings, now_s)
+    pose = robot.published
+    if pose is not None:
+        kept = site.views.get(pose.view)
+        age_s = pose.age_s if kept is None else max(0.0, now_s - kept.received_s)
+        pose = pose.model_copy(update={"age_s": age_s, "located": not why_not})
+    return RobotState(
+        robot=robot.name,
+        alive=robot.alive,
+        newest_view=robot.newest,
+        views_kept=site.views.count(robot.name),
+        pose=pose,
+        why_not=why_not,
     )
 
 

@@ -388,3 +388,14 @@ def test_a_pixel_that_is_no_number_is_said_and_takes_no_number_of_the_session(se
     with pytest.raises(OperatorError, match=r"pixel_i.*nan or inf"):
         session.add(view("r1"), (bad, 1.0), view("r2"), (3.0, 4.0))
     assert session.add(view("r1"), A, view("r2"), B).update.n == 1
+
+
+def test_the_state_tells_how_old_a_pose_has_become_and_an_older_one_changes_nothing(session):
+    newest = session.poses()["r1"]
+    aged = newest.model_copy(update={"age_s": 9.0, "located": False})
+    state = fleet(6, n=2)
+    robots = [r.model_copy(update={"pose": aged}) if r.robot == "r1" else r for r in state.robots]
+    session.on_fleet(state.model_copy(update={"robots": tuple(robots)}))
+    assert not session.poses()["r1"].located and session.poses()["r1"].age_s == 9.0
+    session.on_pose(newest)  # a repeat of what was latched
+    assert not session.poses()["r1"].located

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from pose_server import pipeline
+from pose_server import pipeline, publish
 from pose_server.pairs.engine import Done, run_job
+from pose_server.settings import ServerSettings
 from pose_server.site import MAX_HELD_BACK, PINNED_S, Site
 from protocol.errors import CodecError
 from protocol.messages import Selection, ViewName
@@ -13,6 +14,7 @@ from tests.pose_server.test_flows import click, kept, named, scene_with_points_t
 from tests.pose_server.test_flows import work_off as work_off_all
 
 LATER = "1" * 12
+SETTINGS = ServerSettings()
 
 
 def messages(*T_camera_scenes: np.ndarray, robot: str = "r1", epoch: str = EPOCH):
@@ -172,6 +174,41 @@ def test_a_still_robot_is_placed_at_once_after_a_restart():
     pipeline.receive_view(site, kept(again))
     assert site.attached(again.name) is not None
     assert pipeline.next_job(site, 0.0) is None
+
+
+def told(site: Site, now_s: float):
+    """The state of r2 as it is published at a time."""
+    while site.dirty:  # once more where an anchor was chosen
+        pipeline.solve(site)
+    stamp = publish.Stamp("0" * 12, now_s, int(1e9 * now_s))
+    for robot in site.robots.values():
+        robot.published = robot.published or publish.robot_pose(site, robot, SETTINGS, stamp)
+    state = publish.fleet_state(site, SETTINGS, stamp, 1)
+    return next(robot for robot in state.robots if robot.robot == "r2")
+
+
+@pytest.mark.parametrize("offset_h", (-3, 0, 3))
+def test_poses_age_by_the_servers_clock_whatever_the_robots_clocks_say(offset_h):
+    T_true = turned(15)
+    both, _ = scene_with_points_to_click(np.random.default_rng(4), T_true)
+    offset_ns = offset_h * 3600 * 10**9
+    site = site_of(*(one.model_copy(update={"stamp_ns": 10**18 + offset_ns}) for one in both))
+    work_off_all(site)
+    fresh, stale = told(site, 1.0), told(site, 60.0)
+    assert fresh.pose.located and fresh.why_not == "" and fresh.pose.age_s == 1.0
+    assert fresh.pose.valid_until_ns == 10**18 + offset_ns + int(1e9 * SETTINGS.fresh_s)
+    assert not stale.pose.located and "60 s old" in stale.why_not and stale.pose.age_s == 60.0
+
+
+def test_a_robot_that_is_gone_is_not_located_any_more():
+    T_true = turned(15)
+    both, _ = scene_with_points_to_click(np.random.default_rng(4), T_true)
+    site = site_of(*both)
+    work_off_all(site)
+    assert told(site, 1.0).pose.located
+    pipeline.receive_token(site, "r2", EPOCH, False)
+    gone = told(site, 2.0)
+    assert not gone.pose.located and gone.pose.age_s == 2.0 and "token is gone" in gone.why_not
 
 
 def test_a_flood_of_clicks_leaves_every_other_turn_to_the_robots():
