@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from protocol.codec import unpack
+from protocol.drops import Drops
 from protocol.errors import CodecError, FleetPoseError
 from protocol.keys import Keys
 from protocol.messages import KeptView, ViewName
@@ -36,6 +37,7 @@ class Fetcher:
         keys: of the site.
         query: asks one selector with a timeout in seconds; raises a FleetPoseError.
         store: takes each `Fetched`, in another thread.
+        drops: where answers that are no views are counted.
     """
 
     def __init__(
@@ -43,8 +45,10 @@ class Fetcher:
         keys: Keys,
         query: Callable[[str, float], Sample],
         store: Callable[[Fetched], None],
+        drops: Drops | None = None,
     ) -> None:
         self._keys, self._query, self._store = keys, query, store
+        self._drops = Drops() if drops is None else drops
         self._asked: set[ViewName] = set()
         self._pool = ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="fetch")
 
@@ -65,6 +69,8 @@ class Fetcher:
         try:
             fetched = Fetched(name, self._answer(name))
         except FleetPoseError as error:
+            if isinstance(error, CodecError):
+                self._drops.note(self._keys.view(name.robot), error)
             log.info("view not fetched name=%s reason=%s", name, error)
             fetched = Fetched(name, None, str(error))
         self._asked.discard(name)
@@ -75,5 +81,5 @@ class Fetcher:
         answer = self._query(selector, TIMEOUT_S)
         kept = unpack(KeptView, answer.payload, answer.encoding)
         if kept.view.name != name:
-            raise CodecError(f"asked for view {name}, got {kept.view.name}")
+            raise CodecError(f"another view than asked: {kept.view.name} for {name}")
         return kept

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.lift import LiftedPoint, lift_pixel
-from pose_server.geometry.matching import ratio_matches
+from pose_server.geometry.matching import ratio_matches, similarities
 from pose_server.pairs.engine import EncodedView
 from pose_server.pairs.views import point_noise
 from protocol.clouds import decode_salient, decode_scattered, depth_image, grid_to_pixel, points_of
@@ -65,7 +65,7 @@ def open_view(payload: bytes, encoding: str | None, now_s: float) -> KeptView:
     """Decodes a view in full, so that nothing damaged is ever kept.
 
     Raises:
-        CodecError: it is no valid view, or has no points.
+        CodecError: it is no valid view, has no points, or some outside of its image.
     """
     view = unpack(View, payload, encoding)
     points = points_of(view, _DEPTH_SAMPLE)
@@ -74,6 +74,8 @@ def open_view(payload: bytes, encoding: str | None, now_s: float) -> KeptView:
             f"view {view.name} has {len(points.xyz)} points with depth, need {MIN_POINTS}"
         )
     salient = decode_salient(view.salient)
+    _check_inside("point", points.uv, view.camera)
+    _check_inside("salient point", salient.uv, view.camera)
     strongest = np.flatnonzero(np.isfinite(salient.inverse_depth))[:_SIGNATURE_POINTS]
     return KeptView(
         name=view.name,
@@ -105,6 +107,15 @@ def same_camera(a: Camera, b: Camera) -> bool:
     )
 
 
+def _check_inside(what: str, uv: npt.NDArray[np.floating], camera: Camera) -> None:
+    outside = (uv < -1) | (uv > (camera.width, camera.height))
+    if outside.any():
+        u, v = uv[outside.any(axis=1)][0]
+        raise CodecError(
+            f"a {what} outside of the image: ({u:g}, {v:g}) in {camera.width}x{camera.height}"
+        )
+
+
 def stands_still(a: KeptView, b: KeptView) -> bool:
     """Whether a robot did not move between two of its views: its strongest points kept their
     pixels.
@@ -120,7 +131,7 @@ def stands_still(a: KeptView, b: KeptView) -> bool:
 def _clear_matches(a: KeptView, b: KeptView) -> npt.NDArray[np.int64]:
     if min(len(a.signature), len(b.signature)) < 3:
         return np.zeros((0, 2), np.int64)
-    cosines = _unit(a.signature) @ _unit(b.signature).T
+    cosines = similarities(_unit(a.signature), _unit(b.signature))
     return ratio_matches(cosines, _SIGNATURE_RATIO)
 
 
