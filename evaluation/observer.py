@@ -156,7 +156,7 @@ class Observer:
 
     def _subscribe(self, link: Link) -> None:
         keys = self._keys
-        self._clouds = link.subscribe_bulk(keys.cloud("*"), self._arrivals)
+        self._clouds = link.subscribe_bulk(keys.cloud("*"), self._arrivals.store)
         for key in (keys.poses, keys.state, keys.status, keys.alignment("*", "*")):
             link.on_latched(key, self._arrivals.store)
         for key in (keys.robot_alive("*", "*"), keys.server_alive("*")):

@@ -9,11 +9,11 @@ from collections import Counter, deque
 from collections.abc import Callable
 from typing import Literal
 
-from hmi_client.drops import Drops
+from protocol.drops import Drops
 
 Topic = (
     Literal["fleet", "poses", "alignment", "correspondences", "pictures"]
-    | Literal["selection", "updates", "events", "status", "settings"]
+    | Literal["selection", "updates", "events", "status", "settings", "drops"]
 )
 
 
@@ -54,8 +54,9 @@ class Changes:
 
     def drop(self, key: str, error: Exception) -> None:
         """Counts something that arrived under a key and could not be used."""
+        self.drops.note(key, error)
         with self._changed:
-            self.drops.note(key, str(error))
+            self._bump("drops")
 
     def _say(self, *sentences: str) -> None:
         self.events.extend(sentences)

@@ -1,21 +1,24 @@
 """Between zenoh and the session: what arrives goes into the session, what was done goes out.
 
-Callbacks only store. Three threads work: one reads, one sends (`hmi_client.sender`), and one asks
-robots for views whose picture does not come by itself.
+Callbacks open what came and store it. Three threads work: one reads, one sends
+(`hmi_client.sender`), and one asks robots for views whose picture does not come by itself.
 """
 
 import logging
 import threading
 import time
 from collections.abc import Callable
+from typing import TypeVar
 
-from hmi_client.drops import Drops
+from hmi_client.arrivals import Arrived, opened
 from hmi_client.errors import PictureError
 from hmi_client.jpeg import check_size, frame_of
 from hmi_client.model import Pair, Picture
 from hmi_client.sender import Sender
 from hmi_client.session import OperatorSession
-from protocol.codec import MAX_MESSAGE_BYTES, unpack
+from protocol.base import MAX_MESSAGE_BYTES, Message
+from protocol.codec import unpack
+from protocol.drops import Drops
 from protocol.errors import CodecError, FleetPoseError, UnreachableError
 from protocol.keys import Keys
 from protocol.messages import (
@@ -36,6 +39,9 @@ from protocol.transport import ENCODING_JPEG, Link, Sample, Slots
 log = logging.getLogger(__name__)
 PATIENCE_S = 0.6  # without a live picture for this long, the robot is asked for its newest view
 RETRY_S = 2.0
+MAX_KEPT = 20_000  # robots with cameras, pairs with alignments: names may be anybody's invention
+
+T = TypeVar("T")
 
 
 class Client:
@@ -53,8 +59,8 @@ class Client:
         self.failure: Exception | None = None
         self._open_link = open_link
         self._link: Link | None = None
-        self._inbox = Slots()
-        self._alignments: dict[str, Sample] = {}
+        self._inbox: Slots[Arrived] = Slots()
+        self._alignments: dict[str, Alignment] = {}
         self._cameras: dict[str, CameraAnnouncement] = {}
         self._stop = threading.Event()
         self._threads: list[threading.Thread] = []
@@ -138,27 +144,40 @@ class Client:
             self.keys.correspondences("*", "*"),
             self.keys.receipts(operator),
             self.keys.camera("*"),
+            self.keys.alignment("*", "*"),
         ):
-            link.on_latched(key, self._inbox.store)
-        link.on_latched(self.keys.alignment("*", "*"), self._keep_alignment)
-        sender = Sender(self.session, self.keys, link, self._inbox, self._recall_alignment)
+            link.on_latched(key, self._arrived)
+        sender = Sender(self.session, self.keys, link, self._arrived, self._recall_alignment)
         self._run("hmi read", self._read)
         self._run("hmi send", lambda: sender.run(self._stop))
         self._run("hmi fetch", self._fetch)
 
     # ---- reading ---------------------------------------------------------------------------------
 
-    def _keep_alignment(self, sample: Sample) -> None:
-        """Alignments of 72 robots are many: only those of the selected pair are decoded."""
-        self._alignments[sample.key] = sample
-        if self.session.pair and sample.key == self.keys.alignment(*self.session.pair):
-            self._inbox.store(sample)
+    def _arrived(self, sample: Sample) -> None:
+        """Opens what came, in the subscriber's thread: so nothing damaged takes the place of
+        something good that waits to be read.
+        """
+        self._survive(sample.key, lambda: self._store(sample))
+
+    def _store(self, sample: Sample) -> None:
+        match self.keys.chunks(sample.key):
+            case ["robot", robot, "image"]:
+                content = self._readable(robot, lambda: self._picture(robot, sample))
+            case _:
+                content = opened(self.keys, sample)
+        match content:
+            case CameraAnnouncement():
+                _keep(self._cameras, content.robot, content)
+            case Alignment():
+                _keep(self._alignments, sample.key, content)
+        self._inbox.store(Arrived(sample.key, content))
 
     def _read(self) -> None:
         while not self._stop.is_set():
-            sample = self._inbox.take(0.5)
-            if sample is not None:
-                self._survive(sample.key, lambda sample=sample: self._take(sample))
+            arrived = self._inbox.take(0.5)
+            if arrived is not None:
+                self._survive(arrived.key, lambda one=arrived: self._take(one.content))
 
     def _survive(self, key: str, work: Callable[[], None]) -> None:
         try:
@@ -166,39 +185,28 @@ class Client:
         except FleetPoseError as error:
             self.session.drop(key, error)
 
-    def _take(self, sample: Sample) -> None:
+    def _take(self, content: Message | Picture) -> None:
         session = self.session
-        match self.keys.chunks(sample.key):
-            case ["fleet", "state"]:
-                session.on_fleet(unpack(FleetState, sample.payload, sample.encoding))
-            case ["server", "status"]:
-                session.on_status(unpack(ServerStatus, sample.payload, sample.encoding))
-            case ["pose", _]:
-                session.on_pose(unpack(RobotPose, sample.payload, sample.encoding))
-            case ["pair", _, _, "alignment"]:
-                session.on_alignment(unpack(Alignment, sample.payload, sample.encoding))
-            case ["pair", _, _, "correspondences"]:
-                known = unpack(PairCorrespondences, sample.payload, sample.encoding)
-                session.on_correspondences(known)
-            case ["operator", _, "receipts"]:
-                session.on_receipts(unpack(Receipts, sample.payload, sample.encoding))
-            case ["robot", robot, "camera"]:
-                self._take_camera(robot, sample)
-            case ["robot", robot, "image"]:
-                self._take_picture(robot, lambda: self._picture(robot, sample))
-            case _:
-                raise CodecError("nothing is expected under this key")
+        match content:
+            case FleetState():
+                session.on_fleet(content)
+            case ServerStatus():
+                session.on_status(content)
+            case RobotPose():
+                session.on_pose(content)
+            case Alignment():
+                session.on_alignment(content)
+            case PairCorrespondences():
+                session.on_correspondences(content)
+            case Receipts():
+                session.on_receipts(content)
+            case Picture():
+                session.on_picture(content)
 
-    def _take_camera(self, robot: str, sample: Sample) -> None:
-        announced = unpack(CameraAnnouncement, sample.payload, sample.encoding)
-        if announced.robot != robot:
-            raise CodecError(f"a camera of '{announced.robot}' under another robot's key")
-        self._cameras[robot] = announced
-
-    def _take_picture(self, robot: str, make: Callable[[], Picture]) -> None:
-        """Feeds a picture, or tells the operator why there is none."""
+    def _readable(self, robot: str, make: Callable[[], Picture]) -> Picture:
+        """A picture, or tells the operator why there is none."""
         try:
-            self.session.on_picture(make())
+            return make()
         except (CodecError, PictureError) as error:
             self.session.on_unreadable(robot, str(error))
             raise
@@ -247,7 +255,7 @@ class Client:
         if view is None:
             return
         try:
-            self._take_picture(robot, lambda: self.fetch_picture(view))
+            self.session.on_picture(self._readable(robot, lambda: self.fetch_picture(view)))
         except UnreachableError as error:  # asked again soon; the screen says that it waits
             log.info("%s", error)
 
@@ -281,18 +289,18 @@ class Client:
 
     def alignments(self, robot: str) -> dict[Pair, Alignment]:
         """The newest alignment heard of each pair of a robot."""
-        found = {}
-        for key, sample in tuple(self._alignments.items()):
-            try:
-                _, i, j, _ = self.keys.chunks(key)
-                if robot in (i, j):
-                    found[i, j] = unpack(Alignment, sample.payload, sample.encoding)
-            except (FleetPoseError, ValueError) as error:
-                self.session.drop(key, error)
-        return found
+        known = tuple(self._alignments.values())
+        pairs = {(a.view_i.robot, a.view_j.robot): a for a in known}
+        return {pair: alignment for pair, alignment in pairs.items() if robot in pair}
 
     def _recall_alignment(self, pair: Pair) -> None:
         """Feeds the alignment that came before its pair was selected."""
-        sample = self._alignments.get(self.keys.alignment(*pair))
-        if sample is not None:
-            self._inbox.store(sample)
+        alignment = self._alignments.get(self.keys.alignment(*pair))
+        if alignment is not None:
+            self.session.on_alignment(alignment)
+
+
+def _keep(table: dict[str, T], name: str, entry: T) -> None:
+    if name not in table and len(table) >= MAX_KEPT:
+        raise CodecError(f"more than {MAX_KEPT} of a kind")
+    table[name] = entry

@@ -81,8 +81,10 @@ class Gallery:
         if waiting and waiting[-1].view == picture.view:
             return False
         waiting.append(picture)
-        if len(waiting) > MAX_WAITING:  # the oldest stays: it is the next to be taken
-            del waiting[1]
+        if len(waiting) > MAX_WAITING:  # thinned evenly: whatever the server takes next is near
+            seqs = [kept.view.seq for kept in waiting]
+            inner = range(1, MAX_WAITING)
+            del waiting[min(inner, key=lambda k: seqs[k + 1] - seqs[k - 1])]
         return True
 
     def follow(

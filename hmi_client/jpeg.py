@@ -11,7 +11,8 @@ from protocol.messages import Camera
 
 MAX_PIXELS = 40_000_000
 MAX_CAMERA_PX = 16384  # as in `protocol.messages.Camera`
-MAX_SCANS = 200  # a progressive image has about ten; each costs a walk over all pixels
+MAX_SCANS = 200  # a progressive image has about ten
+MAX_SCANNED_PIXELS = 10 * MAX_PIXELS  # each scan costs a walk over all pixels
 _SOI, _EOI, _START_OF_SCAN = 0xD8, b"\xff\xd9", 0xDA
 _READABLE_FRAMES = (0xC0, 0xC1, 0xC2)  # baseline, extended, progressive
 _OTHER_FRAMES = frozenset(range(0xC0, 0xD0)) - {*_READABLE_FRAMES, 0xC4, 0xC8, 0xCC}
@@ -98,6 +99,7 @@ def _whole(jpeg: bytes, scan: int, frame: Frame | None) -> Frame:
         raise PictureError("its header is damaged")
     if jpeg.find(_EOI, scan) < 0:  # coded pixels never hold these two bytes
         raise PictureError("it is cut off: the end is missing")
-    if jpeg.count(bytes((0xFF, _START_OF_SCAN)), scan) > MAX_SCANS:
+    scans = jpeg.count(bytes((0xFF, _START_OF_SCAN)), scan)
+    if scans > MAX_SCANS or scans * frame.width * frame.height > MAX_SCANNED_PIXELS:
         raise PictureError("it has too many scans")
     return frame

@@ -10,7 +10,7 @@ from hmi_client.session import OperatorSession
 from protocol.codec import encoding_of, pack
 from protocol.keys import Keys
 from protocol.messages import OperatorUpdate, Selection
-from protocol.transport import Link, Slots
+from protocol.transport import Link, Sample
 
 REPEAT_S = 1.0  # an update is offered again after this long without a receipt
 RETELL_S = 5.0  # frozen views are named again after this long: a server forgets selections
@@ -23,7 +23,7 @@ class Sender:
         session: what is followed.
         keys: the keys of the site.
         link: where it goes.
-        inbox: where images of the selected robots, and only of these, arrive.
+        on_image: takes images of the selected robots, and only of these, as they arrive.
         on_selected: called with a newly selected pair.
     """
 
@@ -32,13 +32,13 @@ class Sender:
         session: OperatorSession,
         keys: Keys,
         link: Link,
-        inbox: Slots,
+        on_image: Callable[[Sample], None],
         on_selected: Callable[[Pair], None],
     ) -> None:
         self._session = session
         self._keys = keys
         self._link = link
-        self._inbox = inbox
+        self._on_image = on_image
         self._on_selected = on_selected
         self._updates = link.latched(keys.updates(session.operator), block=True, history=100)
         self._selection = link.latched(keys.selection(session.operator), block=True)
@@ -90,4 +90,4 @@ class Sender:
         for robot in set(self._images) - wanted:
             self._images.pop(robot).undeclare()
         for robot in wanted - set(self._images):
-            self._images[robot] = self._link.subscribe_bulk(self._keys.image(robot), self._inbox)
+            self._images[robot] = self._link.subscribe_bulk(self._keys.image(robot), self._on_image)

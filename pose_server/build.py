@@ -11,14 +11,17 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 from pose_server import pipeline  # noqa: E402
 from pose_server.correspondences.book import Book  # noqa: E402
-from pose_server.correspondences.journal import Journal  # noqa: E402
+from pose_server.correspondences.journal import Journal, StoredView  # noqa: E402
 from pose_server.service import Service  # noqa: E402
 from pose_server.settings import ServerSettings  # noqa: E402
 from pose_server.site import Site  # noqa: E402
-from pose_server.views import open_view  # noqa: E402
-from protocol.errors import FleetPoseError  # noqa: E402
+from pose_server.views import KeptView, open_view  # noqa: E402
+from protocol.errors import CodecError, FleetPoseError  # noqa: E402
 from protocol.keys import checked_name, ordered_pair  # noqa: E402
+from protocol.text import one_line  # noqa: E402
 from protocol.transport import Link, SessionSettings, open_session  # noqa: E402
+
+log = logging.getLogger("pose_server")
 
 
 def build(settings: ServerSettings) -> Service:
@@ -37,9 +40,18 @@ def build(settings: ServerSettings) -> Service:
         gauge_revision=int(journal.noted("gauge_revision") or 0),
     )
     now_s = time.monotonic()
-    pipeline.restore(site, [open_view(stored.encoded, None, now_s) for stored in journal.views()])
+    pipeline.restore(site, [view for stored in journal.views() if (view := _opened(stored, now_s))])
     endpoints = SessionSettings(settings.connect, settings.listen, settings.config)
     return Service(site, journal, Link(open_session(endpoints)), settings)
+
+
+def _opened(stored: StoredView, now_s: float) -> KeptView | None:
+    """A journalled view; one that cannot be read costs that view, not the server."""
+    try:
+        return open_view(stored.encoded, None, now_s)
+    except CodecError as error:
+        log.error("journalled view %s is left out: %s", stored.name, one_line(str(error)))
+        return None
 
 
 def read_pairs(path: Path) -> frozenset[tuple[str, str]]:

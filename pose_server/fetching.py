@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from protocol.codec import unpack
+from protocol.drops import Drops
 from protocol.errors import CodecError, FleetPoseError
 from protocol.keys import Keys
 from protocol.messages import KeptView, ViewName
@@ -43,6 +44,7 @@ class Fetcher:
         keys: of the site.
         query: asks one selector with a timeout in seconds; raises a FleetPoseError.
         store: takes each `Fetched` and `FetchedNewest`, in another thread.
+        drops: where answers that are no views are counted.
     """
 
     def __init__(
@@ -50,9 +52,12 @@ class Fetcher:
         keys: Keys,
         query: Callable[[str, float], Sample],
         store: Callable[[Fetched | FetchedNewest], None],
+        drops: Drops | None = None,
     ) -> None:
         self._keys, self._query, self._store = keys, query, store
+        self._drops = Drops() if drops is None else drops
         self._asked: set[ViewName] = set()
+        self._asked_newest: set[str] = set()
         self._pool = ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="fetch")
 
     def ask(self, name: ViewName) -> bool:
@@ -66,7 +71,9 @@ class Fetcher:
 
     def ask_newest(self, robot: str) -> None:
         """Asks a robot for its newest view; nothing is stored where it has none."""
-        self._pool.submit(self._fetch_newest, robot)
+        if robot not in self._asked_newest and len(self._asked_newest) < _MOST_WAITING:
+            self._asked_newest.add(robot)
+            self._pool.submit(self._fetch_newest, robot)
 
     def close(self) -> None:
         """Drops what waits; what is asked now ends within its timeout."""
@@ -76,8 +83,10 @@ class Fetcher:
         try:
             fetched = Fetched(name, self._answer(name.robot, f"?seq={name.seq};epoch={name.epoch}"))
             if fetched.kept is not None and fetched.kept.view.name != name:
-                raise CodecError(f"asked for view {name}, got {fetched.kept.view.name}")
+                raise CodecError(f"another view than asked: {fetched.kept.view.name} for {name}")
         except FleetPoseError as error:
+            if isinstance(error, CodecError):
+                self._drops.note(self._keys.view(name.robot), error)
             log.info("view not fetched name=%s reason=%s", name, error)
             fetched = Fetched(name, None, str(error))
         self._asked.discard(name)
@@ -87,14 +96,18 @@ class Fetcher:
         try:
             kept = self._answer(robot)
         except FleetPoseError as error:
+            if isinstance(error, CodecError):
+                self._drops.note(self._keys.view(robot), error)
             log.info("no newest view of robot=%s reason=%s", robot, error)
-            return
-        self._store(FetchedNewest(kept))
+        else:
+            self._store(FetchedNewest(kept))
+        finally:
+            self._asked_newest.discard(robot)
 
     def _answer(self, robot: str, which: str = "") -> KeptView:
         """What a robot has, its newest view where none is named."""
         answer = self._query(self._keys.view(robot) + which, TIMEOUT_S)
         kept = unpack(KeptView, answer.payload, answer.encoding)
         if kept.view.name.robot != robot:
-            raise CodecError(f"asked '{robot}' for a view, got {kept.view.name}")
+            raise CodecError(f"a view of another robot than asked: {kept.view.name}")
         return kept

@@ -33,7 +33,9 @@ def look_back(site: Site, view: ViewName) -> None:
     """Asks for a kept view, newest or not, to be hung on a keyframe, because an operator looks at
     it or clicked in it.
     """
-    robot = site.robot(view.robot)
+    robot = site.robots.get(view.robot)
+    if robot is None:
+        return
     on_its_way = view in (robot.waiting, robot.tracking, robot.placing) or view in robot.behind
     if view in site.views and site.attached(view) is None and not on_its_way:
         robot.behind.append(view)

@@ -58,8 +58,14 @@ def receive_fetched(site: Site, view: KeptView) -> None:
 
 
 def receive_token(site: Site, name: str, epoch: str, alive: bool) -> None:
-    """A robot shows itself, or is gone; what came before its token is taken now."""
-    robot = site.robot(name)
+    """A robot shows itself, or is gone; what came before its token is taken now.
+
+    Raises:
+        SiteFullError: there are too many robots.
+    """
+    if not alive and name not in site.robots:
+        return
+    robot = site.newcomer(name) if alive else site.robot(name)
     was = robot.epoch
     robot.epochs = [known for known in robot.epochs if known != epoch]
     if alive:
@@ -91,6 +97,7 @@ def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
         keeps=site.views.__contains__,
         lift=lambda view, pixel: site.lifter.lift(site.views[view], np.asarray(pixel, np.float64)),
         encoded=lambda view: site.views[view].payload,
+        knows=site.knows,
     )
     for outcome in outcomes:
         if outcome.accepted:

@@ -53,6 +53,8 @@ def robot_pose(
     T_fleet_root = site.fleet_from_root(root)
     T = body_pose(T_fleet_root, T_root_camera, kept.camera.T_robot_camera)
     covariance = in_fleet(T_fleet_root, covariance_root)
+    if not (np.isfinite(T).all() and np.isfinite(covariance).all()):
+        return None
     component = site.component_name(root)
     age_s = max(0.0, stamp.now_s - kept.received_s)
     verdict = site.solution.nodes[newest.keyframe].verdict
@@ -231,7 +233,10 @@ def _robot_state(site: Site, robot: Robot, settings: ServerSettings, now_s: floa
 
 def pair_cells(site: Site, now_s: float) -> tuple[PairCell, ...]:
     """The error matrix: a cell per pair of which anything is known; the others are untried."""
-    names = sorted(site.robots)
+    names = sorted(
+        {name for name, robot in site.robots.items() if robot.track.newest is not None}
+        | {name for pair in site.book.pairs() for name in pair if name in site.robots}
+    )
     cells = (_cell(site, a, b, now_s) for k, a in enumerate(names) for b in names[k + 1 :])
     return tuple(cell for cell in cells if cell.state != "untried" or cell.correspondences)
 
@@ -268,9 +273,8 @@ def relative_pose(site: Site, a: str, b: str, now_s: float) -> RelativePose | st
     """T_a_b of two robots' bodies, or why there is none."""
     for name in (a, b):
         if name not in site.robots:
-            return (
-                f"no robot '{name}' is known; known are: {', '.join(sorted(site.robots)) or 'none'}"
-            )
+            known = ", ".join(sorted(site.robots)) or "none"
+            return f"no robot '{name[:32]}' is known; known are: {known}"
     at_a, at_b = site.robots[a].track.newest, site.robots[b].track.newest
     if at_a is None or at_b is None or site.solution is None:
         return f"'{a if at_a is None else b}' has no aligned view yet"

@@ -17,19 +17,21 @@ from pose_server.correspondences.book import Outcome
 from pose_server.correspondences.journal import Journal, StoredView
 from pose_server.correspondences.records import JournalError
 from pose_server.fetching import Fetched, FetchedNewest, Fetcher
-from pose_server.inbox import Asked, Inbox, Refused, Selected, TokenSeen, Updated, Wake
+from pose_server.inbox import Asked, Inbox, Selected, TokenSeen, Updated
 from pose_server.pairs.engine import Done, Engine
 from pose_server.publish import Stamp
+from pose_server.publishers import Publishers
 from pose_server.settings import ServerSettings
 from pose_server.site import Site
 from pose_server.status import Load, server_status
 from pose_server.views import open_view
 from protocol.codec import encoding_of, pack, unpack
-from protocol.errors import CodecError, FleetPoseError, NameRefusedError
+from protocol.drops import Drops
+from protocol.errors import CodecError, FleetPoseError
 from protocol.keys import Keys, new_epoch, ordered_pair
 from protocol.messages import KeptView, OperatorUpdate, View, ViewName
 from protocol.presence import Presence
-from protocol.transport import Answer, Link, Publisher, Sample
+from protocol.transport import Answer, Link
 
 log = logging.getLogger("pose_server")
 
@@ -50,11 +52,12 @@ class Service:
         self.epoch = new_epoch()
         self.stopped = threading.Event()
         self._queue: queue.SimpleQueue[object] = queue.SimpleQueue()
-        self._inbox = Inbox(self.keys, self._queue.put)
-        self._publishers: dict[str, Publisher] = {}
-        self._clouds = link.on_bulk(self.keys.cloud("*"), lambda: self._queue.put(Wake()))
+        self._drops = Drops()
+        self._inbox = Inbox(self.keys, self._queue, self._drops)
+        self._put = Publishers(link).put
+        self._clouds = link.on_bulk(self.keys.cloud("*"), self._inbox.wake)
         self._engine = Engine(settings.workers, self._queue.put)
-        self._fetcher = Fetcher(self.keys, link.query, self._queue.put)
+        self._fetcher = Fetcher(self.keys, link.query, self._queue.put, self._drops)
         self._awaiting = Awaiting(self._fetcher.ask)
         self._load = Load(time.monotonic())
         self._numbers: dict[str, int] = {}
@@ -85,12 +88,7 @@ class Service:
         self.link.queryable(self.keys.relative, self._ask)
         self.link.queryable(self.keys.server_view, self._journalled_view)
         self.site.say(f"server {self.epoch} started with {self.settings.workers} workers")
-        log.info(
-            "serving site=%s epoch=%s workers=%d",
-            self.settings.site,
-            self.epoch,
-            self.settings.workers,
-        )
+        log.info("serving site=%s epoch=%s", self.settings.site, self.epoch)
         self._publish_all_correspondences()
         while not self.stopped.is_set():
             presence.check()
@@ -109,12 +107,12 @@ class Service:
         self.journal.close()
 
     def _read_events(self) -> None:
-        """Waits for the first event up to a tick, then takes what is there, but not for ever: under
-        a flood of clicks poses go on.
+        """Waits for the first event up to a tick, then takes what is there, within a time: other
+        work must not wait for ever behind a flood.
         """
-        end_s = time.monotonic() + _TICK_S
         with suppress(queue.Empty):
-            event = self._queue.get(timeout=_TICK_S)
+            event = self._queue.get(timeout=0.0 if len(self._clouds) else _TICK_S)
+            end_s = time.monotonic() + _TICK_S
             while True:
                 self._handle(event)
                 if time.monotonic() > end_s:
@@ -138,22 +136,29 @@ class Service:
             case FetchedNewest():
                 self._viewed(event.kept)
             case TokenSeen():
-                pipeline.receive_token(self.site, event.robot, event.epoch, event.alive)
-                robot = self.site.robots.get(event.robot)
-                if robot is not None and robot.epoch is not None and robot.newest is None:
-                    self._fetcher.ask_newest(robot.name)
+                self._token(event)
             case Asked():
                 event.answer.set_result(self._relative(event.parameters))
-            case Refused():
-                self._refuse(event.sample, event.error)
             case _:
                 pass
+
+    def _token(self, seen: TokenSeen) -> None:
+        try:
+            pipeline.receive_token(self.site, seen.robot, seen.epoch, seen.alive)
+        except FleetPoseError as error:
+            self._drops.note(self.keys.robot_alive(seen.robot, seen.epoch), error)
+            return
+        robot = self.site.robots.get(seen.robot)
+        if robot is not None and robot.epoch is not None and robot.newest is None:
+            self._fetcher.ask_newest(robot.name)
 
     def _read_clouds(self) -> None:
         """Newest views first come, first served; a few at a time, so that clicks never wait behind
         them.
         """
-        for _ in range(4):
+        end_s = time.monotonic() + _TICK_S
+        good = 0
+        while good < 4 and time.monotonic() < end_s:
             sample = self._clouds.take(0)
             if sample is None:
                 return
@@ -162,16 +167,17 @@ class Service:
                 if self.keys.chunks(sample.key)[1] != view.name.robot:
                     raise CodecError("view under another robot's key")
                 pipeline.receive_view(self.site, view)
-            except (CodecError, NameRefusedError) as error:
-                self._refuse(sample, error)
+                good += 1
+            except FleetPoseError as error:
+                self._drops.note(sample.key, error)
 
     def _viewed(self, kept: KeptView) -> None:
         """Takes the newest view of a robot that was there before this server."""
         try:
             view = open_view(pack(kept.view), None, time.monotonic())
             pipeline.receive_view(self.site, view)
-        except CodecError as error:
-            self._refuse(Sample(self.keys.view(kept.view.name.robot), b"", ""), error)
+        except FleetPoseError as error:
+            self._drops.note(self.keys.view(kept.view.name.robot), error)
 
     def _start_jobs(self) -> None:
         while self._engine.idle > 0:
@@ -227,7 +233,7 @@ class Service:
         for update in self._unanswered.values():
             receipts = self.site.book.receipts(update, self.epoch)
             self._put(self.keys.receipts(update.operator), receipts)
-        for pair in self._untold:
+        for pair in filter(self.site.knows, self._untold):
             self._publish_correspondences(pair)
         self._unanswered.clear()
         self._untold.clear()
@@ -302,7 +308,11 @@ class Service:
         if self._due("state", 1.0 / self.settings.state_hz):
             self._publish_state()
         if self._due("status", _STATUS_S):
-            drops = {**self._inbox.drops, "newer_view": self._clouds.replaced}
+            drops = {
+                **self._drops.snapshot(),
+                "newer_view": self._clouds.replaced,
+                "no_room": self._clouds.overflowed,
+            }
             status = server_status(self.site, self._engine, self._load, self._stamp(), drops)
             self._put(self.keys.status, status)
         if self._due("prune", _PRUNE_S):
@@ -313,8 +323,8 @@ class Service:
         began_s = time.monotonic()
         state = publish.fleet_state(self.site, self.settings, self._stamp(), n)
         self._put(self.keys.state, state)
-        took_s = time.monotonic() - began_s
-        self._next["state"] = max(self._next["state"], began_s + took_s / _STATE_SHARE)
+        pause_s = (time.monotonic() - began_s) / _STATE_SHARE
+        self._next["state"] = max(self._next["state"], began_s + pause_s)
 
     def _prune(self) -> None:
         """Lets go of views that are old and that nothing holds."""
@@ -375,15 +385,6 @@ class Service:
         view = unpack(View, stored.encoded)
         kept = KeptView(view=view, jpeg=stored.jpeg, image=stored.header)
         return Answer(pack(kept), encoding_of(KeptView))
-
-    def _refuse(self, sample: Sample, error: FleetPoseError) -> None:
-        if self._inbox.refuse(sample, error):
-            log.warning("refused key=%s reason=%s", sample.key, error)
-
-    def _put(self, key: str, message: object) -> None:
-        if key not in self._publishers:
-            self._publishers[key] = self.link.latched(key)
-        self._publishers[key].put(pack(message), encoding_of(type(message)))  # type: ignore[arg-type]
 
     def _count_up(self, what: str) -> int:
         self._numbers[what] = self._numbers.get(what, 0) + 1

@@ -23,6 +23,7 @@ from pose_server.pairs.judging import PairResult
 from pose_server.pairs.schedule import RoundRobin
 from pose_server.pairs.tracking import Attached, Track
 from pose_server.views import KeptView, ViewStore, same_camera
+from protocol.errors import FleetPoseError
 from protocol.keys import ordered_pair
 from protocol.messages import Camera, RobotPose, ViewName
 
@@ -31,7 +32,16 @@ PINNED_S = 60.0  # a client repeats what it holds every few seconds
 MAX_PINS = 64
 MAX_CHANGES_TOLD = 5
 MAX_HELD_BACK = 100
+MAX_HELD_BACK_BYTES = 64 * 1024 * 1024
+MAX_ROBOTS = 1000
+MAX_EPOCHS = 8  # tokens under one name at a time
 RobotPair = tuple[str, str]
+
+
+class SiteFullError(FleetPoseError):
+    """More robots, or more lives of one, than a site can have."""
+
+
 ViewPair = tuple[ViewName, ViewName]
 
 
@@ -147,6 +157,33 @@ class Site:
         """The robot's record, made when first heard of."""
         return self.robots.setdefault(name, Robot(name))
 
+    def newcomer(self, name: str) -> Robot:
+        """The record of a robot whose token is there; where there are too many, those that are gone
+        and left nothing make room.
+
+        Raises:
+            SiteFullError: there is none.
+        """
+        if name not in self.robots and len(self.robots) >= MAX_ROBOTS:
+            left = {view.robot for view in self.book.views()}
+            gone = [
+                robot.name
+                for robot in self.robots.values()
+                if not robot.alive and not robot.track.keyframes and robot.name not in left
+            ]
+            for other in gone:
+                del self.robots[other]
+            if not gone:
+                raise SiteFullError(f"a robot too many: {MAX_ROBOTS} are known, '{name}' is not")
+        robot = self.robot(name)
+        if len(robot.epochs) >= MAX_EPOCHS:
+            raise SiteFullError(f"too many tokens under one name: {MAX_EPOCHS} of '{name}'")
+        return robot
+
+    def knows(self, pair: RobotPair) -> bool:
+        """Whether anything is or was between two robots that are known."""
+        return self.book.has(*pair) or (pair[0] in self.robots and pair[1] in self.robots)
+
     def pair(self, a: str, b: str) -> PairRecord:
         """The pair's record, made when first needed."""
         return self.pairs.setdefault(ordered_pair(a, b), PairRecord())
@@ -198,7 +235,8 @@ class Site:
         name = view.name.robot
         if self.held_back.pop(name, None) is not None or len(self.held_back) >= MAX_HELD_BACK:
             self.count("without_token")
-        if len(self.held_back) < MAX_HELD_BACK:
+        waiting = sum(len(other.payload) for other in self.held_back.values())
+        if len(self.held_back) < MAX_HELD_BACK and waiting < MAX_HELD_BACK_BYTES:
             self.held_back[name] = view
 
     def note_change(self, robot: Robot, view: KeptView) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pose_server.geometry.matching import ratio_matches
+from pose_server.geometry.matching import ratio_matches, similarities
 from pose_server.pairs.engine import EncodedView
 from protocol.clouds import decode_salient, points_of
 from protocol.codec import unpack
@@ -58,7 +58,7 @@ def open_view(payload: bytes, encoding: str | None, now_s: float) -> KeptView:
     """Decodes a view in full, so that nothing damaged is ever kept.
 
     Raises:
-        CodecError: it is no valid view, or has no points.
+        CodecError: it is no valid view, has no points, or some outside of its image.
     """
     view = unpack(View, payload, encoding)
     points = points_of(view, _DEPTH_SAMPLE)
@@ -67,6 +67,8 @@ def open_view(payload: bytes, encoding: str | None, now_s: float) -> KeptView:
             f"view {view.name} has {len(points.xyz)} points with depth, need {MIN_POINTS}"
         )
     salient = decode_salient(view.salient)
+    _check_inside("point", points.uv, view.camera)
+    _check_inside("salient point", salient.uv, view.camera)
     strongest = np.flatnonzero(np.isfinite(salient.inverse_depth))[:_SIGNATURE_POINTS]
     return KeptView(
         name=view.name,
@@ -98,6 +100,15 @@ def same_camera(a: Camera, b: Camera) -> bool:
     )
 
 
+def _check_inside(what: str, uv: npt.NDArray[np.floating], camera: Camera) -> None:
+    outside = (uv < -1) | (uv > (camera.width, camera.height))
+    if outside.any():
+        u, v = uv[outside.any(axis=1)][0]
+        raise CodecError(
+            f"a {what} outside of the image: ({u:g}, {v:g}) in {camera.width}x{camera.height}"
+        )
+
+
 def stands_still(a: KeptView, b: KeptView) -> bool:
     """Whether a robot did not move between two of its views: its strongest points kept their
     pixels.
@@ -113,7 +124,7 @@ def stands_still(a: KeptView, b: KeptView) -> bool:
 def _clear_matches(a: KeptView, b: KeptView) -> npt.NDArray[np.int64]:
     if min(len(a.signature), len(b.signature)) < 3:
         return np.zeros((0, 2), np.int64)
-    cosines = _unit(a.signature) @ _unit(b.signature).T
+    cosines = similarities(_unit(a.signature), _unit(b.signature))
     return ratio_matches(cosines, _SIGNATURE_RATIO)
 
 

@@ -9,6 +9,8 @@ import numpy.typing as npt
 from pydantic import BeforeValidator, PlainSerializer
 
 Shape = tuple[int | None, ...]
+MAX_DISTANCE_M = 1e8  # between two frames
+MAX_COVARIANCE = 1e30
 
 
 def _checked(dtype: str, shape: Shape, finite: bool) -> Any:
@@ -47,7 +49,16 @@ def _check_rigid(value: Any) -> npt.NDArray[np.float64]:
     R = T[:3, :3]
     if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
         raise ValueError("rotation of a pose is not orthonormal")
+    if np.abs(T[:3, 3]).max() > MAX_DISTANCE_M:
+        raise ValueError(f"a pose farther than {MAX_DISTANCE_M:g} m")
     return T
+
+
+def _check_square(value: Any) -> npt.NDArray[np.float64]:
+    C = _checked("f8", (6, 6), True)(value)
+    if np.abs(C).max() > MAX_COVARIANCE:
+        raise ValueError(f"a covariance above {MAX_COVARIANCE:g}")
+    return C
 
 
 if TYPE_CHECKING:  # to a type checker they are plain arrays
@@ -63,5 +74,7 @@ else:
     """(4, 4) float64 rigid motion `T_a_b`, metres: maps points of frame b to frame a."""
     Vector3 = array_type("f8", 3)
     Matrix3 = array_type("f8", 3, 3)
-    Matrix6 = array_type("f8", 6, 6)
+    Matrix6 = Annotated[
+        np.ndarray, BeforeValidator(_check_square), PlainSerializer(lambda a: a, return_type=Any)
+    ]
     Pixel = array_type("f8", 2)

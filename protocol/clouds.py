@@ -17,6 +17,8 @@ from protocol.errors import CodecError
 from protocol.messages import Camera, DepthCloud, Salient, ScatteredCloud, View
 
 Floats = npt.NDArray[np.float64]
+MAX_CLOUD_PIXELS = 4_200_000  # more make a server work for seconds, and compress to almost nothing
+NEAREST_M, FURTHEST_M = 1e-4, 1e5  # what is beyond is no measurement, and squares badly
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,8 @@ def decode_depth(cloud: DepthCloud) -> npt.NDArray[np.float32]:
     Raises:
         CodecError: the data does not hold an image of that size, or its steps are absurd.
     """
+    if cloud.width * cloud.height > MAX_CLOUD_PIXELS:
+        raise CodecError(f"{cloud.width}x{cloud.height} pixels of depth are refused: scale them")
     _check_range(cloud)
     quanta = _unpack_grid(cloud.data, cloud.height, cloud.width)
     depth = quanta.astype(np.float32)
@@ -157,9 +161,21 @@ def decode_salient(salient: Salient) -> SalientPoints:
     if not np.isfinite(floats[:, :2]).all():
         raise CodecError("a salient point has no finite pixel")
     depth = floats[:, 2:].copy()
-    depth[~((depth > 0) & (depth < np.inf)).all(axis=1)] = np.nan
+    inverse, sigma = depth.T
+    there = (inverse >= 1 / FURTHEST_M) & (inverse <= 1 / NEAREST_M) & (sigma > 0) & (sigma < 1e6)
+    depth[~there] = np.nan
     descriptors = np.frombuffer(raw, np.uint8, n * d, 16 * n).reshape(n, d)
     return SalientPoints(floats[:, :2], depth[:, 0], depth[:, 1], descriptors)
+
+
+def strongest(points: SalientPoints, count: int) -> SalientPoints:
+    """The first so many of salient points, which come strongest first."""
+    return SalientPoints(
+        points.uv[:count],
+        points.inverse_depth[:count],
+        points.inverse_depth_sigma[:count],
+        points.descriptors[:count],
+    )
 
 
 def points_of(view: View, at_most: int | None = None) -> Points:
@@ -167,7 +183,7 @@ def points_of(view: View, at_most: int | None = None) -> Points:
     time.
 
     Raises:
-        CodecError: the cloud is damaged or does not fit the camera.
+        CodecError: the cloud is damaged, does not fit the camera, or has impossible depths.
     """
     cloud = view.cloud
     if isinstance(cloud, ScatteredCloud):
@@ -178,10 +194,15 @@ def points_of(view: View, at_most: int | None = None) -> Points:
         rows, columns = np.divmod(there, cloud.width)
         uv = grid_to_pixel(np.column_stack((columns, rows)), cloud.scale)
         z = depth.reshape(-1)[there].astype(np.float64)
-        return Points(uv, lift(uv, z, view.camera.K))
+        return _lifted(uv, z, view.camera)
     kept = _thinned(np.arange(len(z)), at_most)
-    uv, z = uv[kept], z[kept]
-    return Points(uv, lift(uv, z, view.camera.K))
+    return _lifted(uv[kept], z[kept], view.camera)
+
+
+def _lifted(uv: Floats, z: Floats, camera: Camera) -> Points:
+    if len(z) and not (z.min() >= NEAREST_M and z.max() <= FURTHEST_M):
+        raise CodecError(f"depths from {z.min():g} to {z.max():g} m are no measurements")
+    return Points(uv, lift(uv, z, camera.K))
 
 
 def _thinned(index: npt.NDArray[np.intp], at_most: int | None) -> npt.NDArray[np.intp]:

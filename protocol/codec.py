@@ -11,11 +11,13 @@ import numpy as np
 import zstandard
 from pydantic import ValidationError
 
-from protocol.base import Message
+from protocol.base import MAX_MESSAGE_BYTES, Message
 from protocol.errors import CodecError
 
-MAX_MESSAGE_BYTES = 16 * 1024 * 1024
 MAX_DECOMPRESSED_BYTES = 64 * 1024 * 1024
+MAX_ITEMS = 2_000_000  # of all lists and maps in a message: a few bytes each, but many in memory
+MAX_KEYS = 1024  # of one map
+MAX_RANK = 4
 _ARRAY = 1  # msgpack extension type: (dtype string, shape, raw bytes)
 _DTYPES = frozenset({"<f8", "<f4", "<i8", "<i4", "<i2", "|i1", "<u8", "<u4", "<u2", "|u1", "|b1"})
 
@@ -51,25 +53,56 @@ def unpack(message_type: type[M], payload: bytes, encoding: str | None = None) -
     """
     if encoding is not None and encoding not in _readable(message_type):
         raise CodecError(f"encoding '{encoding[:80]}', expected '{encoding_of(message_type)}'")
-    if len(payload) > MAX_MESSAGE_BYTES:
-        raise CodecError(f"{len(payload)} bytes, at most {MAX_MESSAGE_BYTES} are read")
+    if len(payload) > message_type.at_most:
+        raise CodecError(f"{len(payload)} bytes, at most {message_type.at_most} are read")
     try:
-        content = msgpack.unpackb(
-            payload, ext_hook=_unpack_array, raw=False, strict_map_key=True, use_list=False
-        )
-        if not isinstance(content, dict):
-            raise CodecError(f"a map was expected, not {type(content).__name__}")
-        return message_type.model_validate(content)
-    except CodecError:
-        raise
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise CodecError(f"{message_type.__name__}.{place}: {first['msg']}") from error
+        content = _unpacked(payload)
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError, MemoryError) as error:
         raise CodecError(f"not msgpack: {type(error).__name__} {str(error)[:120]}") from error
     except msgpack.exceptions.UnpackException as error:
         raise CodecError(f"not msgpack: {type(error).__name__}") from error
+    if not isinstance(content, dict):
+        raise CodecError(f"a map was expected, not {type(content).__name__}")
+    try:
+        return message_type.model_validate(content)
+    except ValidationError as error:
+        raise CodecError(f"{message_type.__name__}.{_first_fault(error)}") from error
+    except (ValueError, TypeError, OverflowError, RecursionError, MemoryError) as error:
+        raise CodecError(f"{message_type.__name__}: {str(error)[:120]}") from error
+
+
+def _unpacked(payload: bytes) -> Any:
+    """The content, with a bound on the number of its items: lists nested in lists cost one byte
+    each on the wire.
+    """
+    left = MAX_ITEMS
+
+    def counted(items: Any) -> Any:
+        nonlocal left
+        left -= len(items) + 1
+        if left < 0:
+            raise CodecError(f"more than {MAX_ITEMS} items")
+        return items
+
+    return msgpack.unpackb(
+        payload,
+        ext_hook=_unpack_array,
+        list_hook=counted,
+        object_hook=counted,
+        raw=False,
+        strict_map_key=True,
+        use_list=False,
+        max_map_len=MAX_KEYS,
+    )
+
+
+def _first_fault(error: ValidationError) -> str:
+    """Which field is wrong and how; numbers of list items are left out."""
+    first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+    place = ".".join(part for part in first["loc"] if isinstance(part, str))
+    if first["type"] == "extra_forbidden":
+        return f"a field '{place[:60]}' that is not known"
+    return f"{place[:60]}: {first['msg'][:200]}"
 
 
 def _pack_array(value: Any) -> msgpack.ExtType:
@@ -93,7 +126,11 @@ def _unpack_array(code: int, data: bytes) -> np.ndarray:
     name, shape = header
     if name not in _DTYPES:
         raise CodecError(f"array of dtype {str(name)[:20]} is refused")
-    if not isinstance(shape, tuple) or not all(type(n) is int and 0 <= n < 2**32 for n in shape):
+    if (
+        not isinstance(shape, tuple)
+        or len(shape) > MAX_RANK
+        or not all(type(n) is int and 0 <= n < 2**32 for n in shape)
+    ):
         raise CodecError("array of an impossible shape")
     body = data[unpacker.tell() :]
     dtype = np.dtype(name)

@@ -11,9 +11,12 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from protocol.arrays import Matrix3, Matrix6, Pixel, Pose, Vector3
-from protocol.base import Message
-from protocol.fields import Count, Epoch, Name, NonNegative, Positive, Text
+from protocol.arrays import Matrix6, Pixel, Pose, Vector3
+from protocol.base import MAX_MESSAGE_BYTES, Message
+from protocol.camera import ROBOT_FROM_CAMERA as ROBOT_FROM_CAMERA
+from protocol.camera import Camera
+from protocol.camera import NoiseModel as NoiseModel
+from protocol.fields import Count, Epoch, Many, Moment, Name, NonNegative, Positive, Stamp, Text
 
 Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
 
@@ -29,48 +32,6 @@ class ViewName(Message, frozen=True, schema="fleet.view_name.v1"):
         return f"{self.robot}/{self.epoch}/{self.seq}"
 
 
-class NoiseModel(Message, frozen=True, schema="fleet.noise_model.v1"):
-    """How well a camera measures points: covariances are long along the ray and thin across."""
-
-    pixel_sigma_px: Positive = Field(description="sigma of a salient point in the image")
-    depth_sigma_m: tuple[NonNegative, NonNegative, NonNegative] = Field(
-        description="c0, c1, c2 of sigma(z) = c0 + c1 z + c2 z^2 along the ray, metres"
-    )
-    focal_baseline_px_m: Positive | None = Field(
-        default=None, description="focal length x baseline of a stereo rig; none for other sensors"
-    )
-
-    @classmethod
-    def stereo(
-        cls, focal_px: float, baseline_m: float, disparity_sigma_px: float, pixel_sigma_px: float
-    ) -> "NoiseModel":
-        """sigma(z) = z^2 / (f b) * disparity sigma."""
-        fb = focal_px * baseline_m
-        return cls(
-            pixel_sigma_px=pixel_sigma_px,
-            depth_sigma_m=(0.0, 0.0, disparity_sigma_px / fb),
-            focal_baseline_px_m=fb,
-        )
-
-
-class Camera(Message, frozen=True, schema="fleet.camera.v1"):
-    """`robot/<id>/camera`, latched, and inside every view, so that a view can be read alone."""
-
-    width: Annotated[int, Field(gt=0, le=16384)]
-    height: Annotated[int, Field(gt=0, le=16384)]
-    K: Matrix3 = Field(description="pinhole intrinsics of the rectified full-resolution image, px")
-    T_robot_camera: Pose = Field(description="camera extrinsics in the robot's body frame")
-    noise: NoiseModel
-    kind: Name = Field(description="what measures: stereo, rgbd, views, ...")
-
-    @model_validator(mode="after")
-    def _pinhole(self) -> "Camera":
-        K = self.K
-        if K[0, 0] <= 0 or K[1, 1] <= 0 or K[1, 0] or K[2, 0] or K[2, 1] or K[2, 2] != 1:
-            raise ValueError("K is no pinhole matrix [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
-        return self
-
-
 class CameraAnnouncement(Message, frozen=True, schema="fleet.camera_announcement.v1"):
     """What is latched under `robot/<id>/camera`."""
 
@@ -78,10 +39,10 @@ class CameraAnnouncement(Message, frozen=True, schema="fleet.camera_announcement
     epoch: Epoch
     camera: Camera
     rate_hz: Positive
-    capabilities: tuple[Name, ...] = ()
+    capabilities: Many[Name] = ()
 
 
-class DepthCloud(Message, frozen=True, schema="fleet.depth_cloud.v1"):
+class DepthCloud(Message, frozen=True, schema="fleet.depth_cloud.v1", at_most=MAX_MESSAGE_BYTES):
     """An organised cloud: a depth or disparity image, lossless to `step`."""
 
     form: Literal["depth"] = "depth"
@@ -104,7 +65,9 @@ class DepthCloud(Message, frozen=True, schema="fleet.depth_cloud.v1"):
         return self
 
 
-class ScatteredCloud(Message, frozen=True, schema="fleet.scattered_cloud.v1"):
+class ScatteredCloud(
+    Message, frozen=True, schema="fleet.scattered_cloud.v1", at_most=MAX_MESSAGE_BYTES
+):
     """Points with their pixels, for clouds without a grid. Coded in `protocol.clouds`."""
 
     form: Literal["scattered"] = "scattered"
@@ -114,7 +77,7 @@ class ScatteredCloud(Message, frozen=True, schema="fleet.scattered_cloud.v1"):
     data: bytes
 
 
-class Salient(Message, frozen=True, schema="fleet.salient.v1"):
+class Salient(Message, frozen=True, schema="fleet.salient.v1", at_most=MAX_MESSAGE_BYTES):
     """Salient points of a view with descriptors, strongest first. Coded in `protocol.clouds`."""
 
     extractor: Name = Field(description="which detector and descriptor, e.g. rootsift")
@@ -123,11 +86,11 @@ class Salient(Message, frozen=True, schema="fleet.salient.v1"):
     data: bytes
 
 
-class View(Message, frozen=True, schema="fleet.view.v1"):
+class View(Message, frozen=True, schema="fleet.view.v1", at_most=MAX_MESSAGE_BYTES):
     """`robot/<id>/cloud`: what a robot saw at one moment, without the image."""
 
     name: ViewName
-    stamp_ns: int
+    stamp_ns: Stamp
     camera: Camera
     cloud: Annotated[DepthCloud | ScatteredCloud, Field(discriminator="form")]
     salient: Salient
@@ -135,18 +98,24 @@ class View(Message, frozen=True, schema="fleet.view.v1"):
     up_sigma_rad: Positive | None = None
     has_image: bool = True
 
+    @model_validator(mode="after")
+    def _unit_up(self) -> "View":
+        if self.up_camera is not None and abs(np.linalg.norm(self.up_camera) - 1) > 0.01:
+            raise ValueError("up_camera is no unit vector")
+        return self
+
 
 class ImageHeader(Message, frozen=True, schema="fleet.image_header.v1"):
     """Travels as the attachment of a JPEG under `robot/<id>/image`."""
 
     view: ViewName
-    stamp_ns: int
+    stamp_ns: Stamp
     scale: Annotated[int, Field(ge=1, le=16)] = Field(
         default=1, description="full-resolution pixels per image pixel"
     )
 
 
-class KeptView(Message, frozen=True, schema="fleet.kept_view.v1"):
+class KeptView(Message, frozen=True, schema="fleet.kept_view.v1", at_most=MAX_MESSAGE_BYTES):
     """Reply of `robot/<id>/view?seq=12` : a view kept by its robot, or journalled by the server."""
 
     view: View
@@ -159,7 +128,7 @@ class Odometry(Message, frozen=True, schema="fleet.odometry.v1"):
 
     robot: Name
     epoch: Epoch
-    stamp_ns: int
+    stamp_ns: Stamp
     T_odom_robot: Pose
     covariance: Matrix6
 
@@ -177,7 +146,7 @@ class RobotPose(Message, frozen=True, schema="fleet.pose.v1"):
 
     robot: Name
     view: ViewName = Field(description="the view whose moment this pose is of")
-    stamp_ns: int = Field(description="of that view, robot's clock")
+    stamp_ns: Stamp = Field(description="of that view, robot's clock")
     T_fleet_robot: Pose
     covariance: Matrix6 = Field(description="left perturbation of T_fleet_robot, rotation first")
     component: Name = Field(
@@ -190,8 +159,8 @@ class RobotPose(Message, frozen=True, schema="fleet.pose.v1"):
         description="moved by more than its own motion and sigma since the last one"
     )
     age_s: NonNegative = Field(description="of the view, by the server's clock, when sent")
-    valid_until_ns: int = Field(description="robot's clock; afterwards the pose is stale")
-    errors: tuple[PairError, ...] = ()
+    valid_until_ns: Moment = Field(description="robot's clock; afterwards the pose is stale")
+    errors: Many[PairError] = ()
     server_epoch: Epoch
     n: Count = Field(description="counts up per robot and server epoch")
 
@@ -207,14 +176,14 @@ class Alignment(Message, frozen=True, schema="fleet.alignment.v1"):
     covariance: Matrix6 | None
     information: Matrix6 | None
     verdict: Verdict
-    reasons: tuple[Text, ...]
+    reasons: Many[Text]
     regression_error_m2: NonNegative
     regression_count: Count
     rmse_m: NonNegative
     overlap: NonNegative
     inliers: Count
     start: Name = Field(description="the start it grew from: operator, previous, graph, features")
-    timings_ms: dict[str, NonNegative]
+    timings_ms: dict[Text, NonNegative]
     server_epoch: Epoch
     n: Count
 
@@ -243,7 +212,7 @@ class PairCorrespondences(Message, frozen=True, schema="fleet.pair_correspondenc
     i: Name
     j: Name
     revision: Count
-    items: tuple[Correspondence, ...]
+    items: Many[Correspondence]
     server_epoch: Epoch
 
 
@@ -286,7 +255,7 @@ class Receipts(Message, frozen=True, schema="fleet.receipts.v1"):
     operator: Name
     session: Epoch
     n: Count
-    rejections: tuple[Rejection, ...] = Field(description="the newest 100")
+    rejections: Many[Rejection] = Field(description="the newest 100")
     server_epoch: Epoch
 
 
@@ -340,20 +309,26 @@ class RobotState(Message, frozen=True, schema="fleet.robot_state.v1"):
     why_not: Text = Field(description="why it is not located; empty if it is")
 
 
-class FleetState(Message, frozen=True, schema="fleet.state.v2", before="fleet.state.v1"):
+class FleetState(
+    Message,
+    frozen=True,
+    schema="fleet.state.v2",
+    before="fleet.state.v1",
+    at_most=MAX_MESSAGE_BYTES,
+):
     """`fleet/state`: everything a late client needs, at a steady rate. v2 tells what is pinned."""
 
     server_epoch: Epoch
     n: Count
-    stamp_ns: int
+    stamp_ns: Stamp
     anchor: Name | None
     gauge_revision: Count
     up_assumed: bool
-    robots: tuple[RobotState, ...]
-    pairs: tuple[PairCell, ...]
-    questions: tuple[Question, ...]
-    events: tuple[Text, ...] = Field(description="the newest 20, oldest first")
-    pinned: tuple[ViewName, ...] = Field(
+    robots: Many[RobotState]
+    pairs: Many[PairCell]
+    questions: Many[Question]
+    events: Many[Text] = Field(description="the newest 20, oldest first")
+    pinned: Many[ViewName] = Field(
         default=(), description="selected views that the server keeps: clicks in them will count"
     )
 
@@ -371,7 +346,7 @@ class ServerStatus(Message, frozen=True, schema="fleet.status.v1"):
     pairs_per_s: NonNegative
     other_cpu_ms_per_view: NonNegative
     max_pair_wait_s: NonNegative
-    drops: dict[str, Count] = Field(description="count by reason")
+    drops: dict[Text, Count] = Field(description="count by reason")
     version: Text
 
 
@@ -383,14 +358,8 @@ class RelativePose(Message, frozen=True, schema="fleet.relative_pose.v1"):
     T_a_b: Pose = Field(description="robot body frames")
     covariance: Matrix6
     age_s: NonNegative
-    through: tuple[Name, ...]
+    through: Many[Name]
 
 
 MESSAGES: tuple[type[Message], ...] = tuple(Message.__subclasses__())
 """Every message class; tests walk it."""
-
-ROBOT_FROM_CAMERA = np.array(
-    [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-)
-"""`T_robot_camera` of a camera that looks along the robot's x axis (body: x forward, y left, z up).
-"""

@@ -18,9 +18,13 @@ from typing import Any
 import zenoh
 from zenoh import ext
 
-from protocol.errors import UnreachableError
+from protocol.errors import FleetPoseError, UnreachableError
+from protocol.slots import Sample, Slots
+from protocol.text import one_line
 
 ENCODING_JPEG = "image/jpeg"
+MAX_REASON_BYTES = 500  # of an error reply
+MAX_QUERIES = 256  # that wait for a queryable; more are told to ask again
 
 
 @dataclass(frozen=True)
@@ -38,16 +42,6 @@ class SessionSettings:
     listen: tuple[str, ...] = ()
     config_file: Path | None = None
     timeout_s: float = 10.0
-
-
-@dataclass(frozen=True)
-class Sample:
-    """What a subscriber or a query receives, detached from zenoh."""
-
-    key: str
-    payload: bytes
-    encoding: str
-    attachment: bytes | None = None
 
 
 def open_session(settings: SessionSettings) -> zenoh.Session:
@@ -89,38 +83,6 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
-class Slots:
-    """The newest sample per key; a reader never sees an older one and nothing queues up."""
-
-    def __init__(self, wake: Callable[[], None] | None = None) -> None:
-        self._changed = threading.Condition()
-        self._slots: dict[str, Sample] = {}
-        self._closed = False
-        self._wake = wake
-        self.replaced = 0
-
-    def store(self, sample: Sample) -> None:
-        with self._changed:
-            self.replaced += sample.key in self._slots
-            self._slots[sample.key] = sample
-            self._changed.notify()
-        if self._wake is not None:
-            self._wake()
-
-    def take(self, timeout_s: float | None = None) -> Sample | None:
-        """The sample of the key that waits longest, or None after the timeout or when closed."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._slots or self._closed, timeout_s)
-            if not self._slots:
-                return None
-            return self._slots.pop(next(iter(self._slots)))
-
-    def close(self) -> None:
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-
-
 @dataclass
 class Publisher:
     """A declared publisher; `put` takes bytes and an encoding."""
@@ -129,6 +91,10 @@ class Publisher:
 
     def put(self, payload: bytes, encoding: str, attachment: bytes | None = None) -> None:
         self._inner.put(payload, encoding=zenoh.Encoding(encoding), attachment=attachment)
+
+    def close(self) -> None:
+        """Undeclares it; what it had latched is gone."""
+        self._inner.undeclare()
 
     @property
     def wanted(self) -> bool:
@@ -181,11 +147,11 @@ class Link:
             )
         )
 
-    def on_bulk(self, key_expr: str, wake: Callable[[], None] | None = None) -> Slots:
+    def on_bulk(self, key_expr: str, wake: Callable[[], None] | None = None) -> Slots[Sample]:
         """Subscribes to clouds or images, keeping the newest per key; `wake` is called after each,
         and must be quick.
         """
-        slots = Slots(wake)
+        slots: Slots[Sample] = Slots(wake)
         self._declared.append(
             self.session.declare_subscriber(key_expr, lambda sample: slots.store(_detached(sample)))
         )
@@ -204,9 +170,11 @@ class Link:
             )
         )
 
-    def subscribe_bulk(self, key: str, slots: Slots) -> Any:
-        """Subscribes to one more key into given slots; undeclare what is returned to end it."""
-        return self.session.declare_subscriber(key, lambda sample: slots.store(_detached(sample)))
+    def subscribe_bulk(self, key: str, store: Callable[[Sample], None]) -> Any:
+        """Subscribes to one more key; undeclare what is returned to end it. The callback must only
+        store.
+        """
+        return self.session.declare_subscriber(key, lambda sample: store(_detached(sample)))
 
     def token(self, key: str) -> None:
         """Shows this process as alive under a key until the session ends."""
@@ -247,7 +215,8 @@ class Link:
             if reply.ok is not None:
                 return _detached(reply.ok)
             if reply.err is not None:
-                reason = reply.err.payload.to_string()
+                text = reply.err.payload.to_bytes()[:MAX_REASON_BYTES].decode(errors="replace")
+                reason = one_line(text)
         raise UnreachableError(f"{selector}: {reason}")
 
     def close(self) -> None:
@@ -284,9 +253,15 @@ class _Queries(threading.Thread):
 
     def store(self, query: zenoh.Query) -> None:
         with self._changed:
-            if self._waiting is not None:
+            if self._waiting is None:
+                return
+            if len(self._waiting) < MAX_QUERIES:
                 self._waiting.append(query)
                 self._changed.notify()
+                return
+        with suppress(zenoh.ZError):
+            query.reply_err(b"too many ask at once: ask again", encoding=zenoh.Encoding.TEXT_PLAIN)
+        query.drop()
 
     def close(self) -> None:
         with self._changed:
@@ -296,7 +271,7 @@ class _Queries(threading.Thread):
     def run(self) -> None:
         for query in self._next():
             try:
-                answer = self._answer(parameters_of(str(query.parameters)))
+                answer = self._answered(parameters_of(str(query.parameters)))
                 if answer.error is not None:
                     query.reply_err(answer.error.encode(), encoding=zenoh.Encoding.TEXT_PLAIN)
                 else:
@@ -310,6 +285,12 @@ class _Queries(threading.Thread):
                 continue
             finally:
                 query.drop()
+
+    def _answered(self, parameters: dict[str, str]) -> Answer:
+        try:
+            return self._answer(parameters)
+        except FleetPoseError as error:
+            return Answer(error=str(error))
 
     def _next(self) -> Iterator[zenoh.Query]:
         while True:

@@ -48,10 +48,13 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
             takeover=settings.takeover,
         ) as robot:
             log.info("started name=%s epoch=%s camera=%s", robot.name, robot.epoch, settings.camera)
+            told = 0
             for frame in paced(camera.frames(), settings.rate_hz, stop):
                 robot.push_frame(frame)
+                told = _tell_drops(robot, told)
             if not stop.is_set():
                 robot.flush()
+            _tell_drops(robot, told)
             log.info(
                 "ended name=%s reason=%s",
                 robot.name,
@@ -59,6 +62,16 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
             )
     finally:
         camera.close()
+
+
+def _tell_drops(robot: FleetRobot, told: int) -> int:
+    """Logs the counts where they grew; what came first was logged as it came."""
+    counts = robot.drops.snapshot()
+    total = sum(counts.values())
+    if total > told:
+        by_reason = "; ".join(f"{reason} {n}" for reason, n in sorted(counts.items()))
+        log.info("drops name=%s total=%d by_reason=%s", robot.name, total, by_reason)
+    return total
 
 
 def paced(frames: Iterator[Frame], rate_hz: float, stop: threading.Event) -> Iterator[Frame]:

@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from protocol.codec import encoding_of, pack, unpack
-from protocol.errors import CalibrationError
+from protocol.drops import Drops
+from protocol.errors import CalibrationError, CodecError
 from protocol.keys import Keys, checked_name, new_epoch
 from protocol.messages import Camera, Odometry, RelativePose, RobotPose, ViewName
 from protocol.presence import Presence
@@ -33,6 +34,9 @@ class FleetRobot:
 
     Methods may be called from any thread; none of them waits for the network but `relative_pose`
     and `flush`.
+
+    Attributes:
+        drops: what arrived and could not be used, counted by reason.
     """
 
     def __init__(
@@ -64,8 +68,9 @@ class FleetRobot:
         self._keys = Keys(site)
         self._camera = camera
         self._seq = 0
-        self._poses = PoseBoard()
+        self.drops = Drops()
         self._link = Link(open_session(session))
+        self._poses = PoseBoard(self._keys, self.drops)
         try:
             self._presence = Presence(
                 self._link,
@@ -80,6 +85,7 @@ class FleetRobot:
             self._link.on_latched(self._keys.poses, self._poses.store)
         except BaseException:
             self._link.close()
+            self._poses.close()
             raise
         if camera is not None:
             self._sender.announce(camera)
@@ -134,11 +140,12 @@ class FleetRobot:
         The frame must not be changed afterwards.
 
         Raises:
-            CalibrationError: image or ranges do not fit the camera model.
+            CalibrationError: image or ranges do not fit the camera model, or up is no direction.
             NameTakenError: another agent has taken the name over.
         """
         self._presence.check()
         _check_sizes(frame)
+        _check_up(frame.up_camera)
         name = ViewName(robot=self.name, epoch=self.epoch, seq=self._seq)
         self._seq += 1
         self._sender.send(name, frame)
@@ -192,7 +199,11 @@ class FleetRobot:
         """
         selector = f"{self._keys.relative}?from={self.name};to={checked_name(other)}"
         answer = self._link.query(selector, timeout_s)
-        return unpack(RelativePose, answer.payload, answer.encoding)
+        try:
+            return unpack(RelativePose, answer.payload, answer.encoding)
+        except CodecError as error:
+            self.drops.note(self._keys.relative, error)
+            raise
 
     def flush(self, timeout_s: float = 10.0) -> bool:
         """Waits until everything pushed is on its way; whether it was in time."""
@@ -204,6 +215,7 @@ class FleetRobot:
             self._sender.close()
         finally:
             self._link.close()
+            self._poses.close()
 
     def __enter__(self) -> Self:
         return self
@@ -227,6 +239,11 @@ def _copied(ranges: Ranges | npt.NDArray[np.floating]) -> Ranges:
             ranges.disparity_px.copy(), ranges.focal_baseline_px_m, ranges.step_px
         )
     return ScatteredPoints(ranges.uv.copy(), ranges.z.copy())
+
+
+def _check_up(up_camera: npt.NDArray[np.float64] | None) -> None:
+    if up_camera is not None and not abs(np.linalg.norm(up_camera) - 1) < 0.01:
+        raise CalibrationError(f"up_camera {np.round(up_camera, 3).tolist()} is no unit vector")
 
 
 def _check_sizes(frame: Frame) -> None:

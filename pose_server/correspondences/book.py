@@ -96,6 +96,7 @@ class Book:
         keeps: Callable[[ViewName], bool],
         lift: Lift,
         encoded: Callable[[ViewName], bytes] | None = None,
+        knows: Callable[[Pair], bool] = lambda pair: True,
     ) -> list[Outcome]:
         """Takes an update and applies it and all that waited for it, as far as there is no gap.
 
@@ -104,6 +105,7 @@ class Book:
             keeps: whether a view can be clicked in.
             lift: lifts a pixel to a 3D point, or raises a FleetPoseError with the reason.
             encoded: the bytes of a kept view, to be recorded along with the click.
+            knows: whether two robots are any of the site's; else nothing is kept of them.
 
         Returns:
             What became final, in order; empty for a repeated or an early update.
@@ -115,7 +117,7 @@ class Book:
         self._wait(session, update)
         outcomes: list[Outcome] = []
         while (following := self._following(session)) is not None:
-            change = self._worked_out(following, keeps, lift, encoded)
+            change = self._worked_out(following, keeps, lift, encoded, knows)
             try:
                 self._recorder.record(change)
             except JournalError:
@@ -133,6 +135,10 @@ class Book:
     def all(self) -> list[Kept]:
         """All correspondences."""
         return [kept for members in self._sets.values() for kept in members.values()]
+
+    def has(self, a: str, b: str) -> bool:
+        """Whether a pair has or had correspondences."""
+        return ordered_pair(a, b) in self._sets
 
     def pairs(self) -> list[Pair]:
         """The pairs that have or had correspondences."""
@@ -204,12 +210,15 @@ class Book:
         keeps: Callable[[ViewName], bool],
         lift: Lift,
         encoded: Callable[[ViewName], bytes] | None,
+        knows: Callable[[Pair], bool],
     ) -> Change:
         """What an update does; nothing is changed yet."""
         session, pair = (update.operator, update.session), (update.i, update.j)
         try:
             if update.i >= update.j:
                 raise _RejectedError(f"robots {update.i}, {update.j} must be two, in order of name")
+            if pair not in self._sets and not knows(pair):
+                raise _RejectedError(f"robots {update.i} and {update.j} are not both known here")
             put, erased = None, ()
             if update.action in ("add", "move"):
                 put = self._placed(update, keeps, lift)

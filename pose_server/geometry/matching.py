@@ -31,7 +31,9 @@ class Prediction:
 def similarities(
     descriptors_i: npt.NDArray[np.float32], descriptors_j: npt.NDArray[np.float32]
 ) -> Floats:
-    """(Ni, Nj) cosines of unit descriptors."""
+    """(Ni, Nj) cosines of unit descriptors; -1 where the two are of different kinds."""
+    if descriptors_i.shape[1] != descriptors_j.shape[1]:
+        return np.full((len(descriptors_i), len(descriptors_j)), -1.0, np.float32)
     return descriptors_i @ descriptors_j.T
 
 

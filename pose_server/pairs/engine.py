@@ -14,10 +14,13 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Literal
 
+import numpy as np
+
 from pose_server.pairs.align import Start, align_pair
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.starts import Clicks, operator_start, with_operator_fallback
 from pose_server.pairs.views import PreparedView, prepare_view
+from protocol.arrays import MAX_DISTANCE_M
 from protocol.codec import unpack
 from protocol.errors import CodecError
 from protocol.messages import View, ViewName
@@ -169,7 +172,15 @@ def run_job(job: Job) -> PairResult:
         if operator is not None:
             starts.append(operator.start)
     result = align_pair(i, j, starts, job.features)
-    return with_operator_fallback(result, operator, i, j)
+    return _finite(with_operator_fallback(result, operator, i, j))
+
+
+def _finite(result: PairResult) -> PairResult:
+    """The result, unless its numbers went astray: nothing else of the server looks again."""
+    for numbers in (result.T_i_j, result.covariance):
+        if numbers is not None and not (np.abs(numbers) < MAX_DISTANCE_M).all():
+            raise CodecError("the alignment of these views has no finite answer")
+    return result
 
 
 def _view(encoded: EncodedView) -> PreparedView:

@@ -13,7 +13,7 @@ from pose_server.geometry.evidence import Surface
 from pose_server.geometry.icp import DenseCloud, dense_cloud
 from pose_server.geometry.noise import PointNoise
 from pose_server.geometry.observed import Observed
-from protocol.clouds import decode_salient, points_of
+from protocol.clouds import decode_salient, points_of, strongest
 from protocol.errors import CodecError
 from protocol.messages import NoiseModel, View, ViewName
 
@@ -22,6 +22,7 @@ Floats = npt.NDArray[np.floating]
 DENSE_POINTS = 10_000  # from here on a cloud is dense enough for ICP
 _CLOUD_POINTS = 20_000  # of a dense cloud, used for its surface and for ICP
 _SAMPLE_POINTS = 1_000
+_MATCHED_POINTS = 8_000  # salient points, at most: matching takes memory by their square
 _ICP_PIXELS = 8.0  # lateral resolution of ICP, in pixels at the median depth
 
 
@@ -94,7 +95,7 @@ def prepare_view(view: View) -> PreparedView:
     points = points_of(view, _CLOUD_POINTS)
     if len(points.xyz) < 10:
         raise CodecError(f"view {view.name} has {len(points.xyz)} points with depth, need 10")
-    salient = decode_salient(view.salient)
+    salient = strongest(decode_salient(view.salient), _MATCHED_POINTS)
     camera = view.camera
     descriptors = salient.descriptors.astype(np.float32)
     norms = np.linalg.norm(descriptors, axis=1, keepdims=True)

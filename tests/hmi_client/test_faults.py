@@ -6,10 +6,10 @@ import pytest
 from hmi_fakes import CAMERA, view, wait_for
 from hmi_server import Journal
 
-from hmi_client.drops import MAX_REASONS, OTHER, Drops
 from hmi_client.session import OperatorSession
 from hmi_client.text.image_panel import decoded
 from protocol.codec import pack
+from protocol.drops import MAX_REASONS, OTHER, Drops
 from protocol.errors import UnreachableError
 from protocol.messages import ImageHeader
 
@@ -139,7 +139,7 @@ def test_reasons_are_few_whatever_is_sent():
         drops.note("key", f"'{k}' of {k} is wrong: {k}")
     assert drops == {"_ of _ is wrong": 200}
     for k in range(200):
-        drops.note("key", "x" * (k % 60) + chr(97 + k % 26) + ": no")
+        drops.note("key", "x" * (k % 50) + chr(97 + k % 26) + chr(97 + k // 26) + ": no")
     assert len(drops) <= MAX_REASONS + 1 and drops[OTHER] > 0 and drops.total() == 400
 
 

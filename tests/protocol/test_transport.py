@@ -68,7 +68,7 @@ def test_a_publisher_knows_whether_anybody_wants_its_samples(links):
     sender, receiver = links(), links()
     publisher = sender.bulk("fleet/t/a/image", background=True)
     assert not publisher.wanted
-    subscriber = receiver.subscribe_bulk("fleet/t/a/image", Slots())
+    subscriber = receiver.subscribe_bulk("fleet/t/a/image", Slots().store)
     assert wait_until(lambda: publisher.wanted, 5)
     subscriber.undeclare()
     assert wait_until(lambda: not publisher.wanted, 5)

@@ -122,7 +122,7 @@ def test_the_image_is_sent_only_while_somebody_wants_it(robot, link):
     robot.push(IMAGE, DEPTH)
     next_view(clouds)
     images = Slots()
-    subscriber = link.subscribe_bulk(KEYS.image("r1"), images)
+    subscriber = link.subscribe_bulk(KEYS.image("r1"), images.store)
     assert wait_until(lambda: robot._sender._image.wanted, 5)
     name = robot.push(IMAGE, DEPTH)
     sample = images.take(10)
@@ -202,7 +202,7 @@ def test_the_newest_pose_comes_back_and_goes_stale(robot, link):
     assert 0.5 <= robot.age_s("r1") < 6
     publisher.put(pack(pose_message(n=4)), encoding_of(RobotPose))  # older: no effect
     publisher.put(b"damaged", encoding_of(RobotPose))
-    assert wait_until(lambda: robot.poses() and robot._poses.refused == 1, 5)
+    assert wait_until(lambda: robot.poses() and robot.drops == {"not msgpack": 1}, 5)
     assert robot.pose().n == 5
     expired = pose_message(n=0, server_epoch="1" * 12, valid_for_s=-0.1)
     publisher.put(pack(expired), encoding_of(RobotPose))  # a new server counts from 0

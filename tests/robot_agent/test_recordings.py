@@ -44,8 +44,11 @@ def tum(tmp_path):
         (tmp_path / folder).mkdir()
     colours, depths = ["# time file"], ["# time file"]
     for n in range(4):
-        cv2.imwrite(str(tmp_path / f"rgb/{n}.png"), picture(20 * n + 20))
-        cv2.imwrite(str(tmp_path / f"depth/{n}.png"), np.full((48, 64), 5000 * (n + 1), np.uint16))
+        depth = np.full(
+            (480, 640), 5000 * (n + 1), np.uint16
+        )  # the default matrix is for this size
+        cv2.imwrite(str(tmp_path / f"rgb/{n}.png"), cv2.resize(picture(20 * n + 20), (640, 480)))
+        cv2.imwrite(str(tmp_path / f"depth/{n}.png"), depth)
         colours.append(f"{100 + n}.000 rgb/{n}.png")
         depths.append(f"{100 + n + (0.5 if n == 1 else 0.008)} depth/{n}.png")
     (tmp_path / "rgb.txt").write_text("\n".join(colours))

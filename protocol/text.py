@@ -1,0 +1,13 @@
+"""Texts from elsewhere, made fit for a log line and a terminal."""
+
+
+def one_line(text: str, at_most: int = 2000) -> str:
+    """The text on one line, cut to a length; signs that a terminal would obey become spaces.
+
+    Line breaks, escape sequences, signs that turn the direction of writing and lone surrogates are
+    not printable, so that no text can forge a log entry or a screen.
+    """
+    text = text[:at_most]
+    if text.isprintable():
+        return text
+    return "".join(sign if sign.isprintable() else " " for sign in text)
