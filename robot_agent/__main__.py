@@ -117,6 +117,44 @@ def run(
     _leave()
 
 
+@app.command("calibrate-check")
+def calibrate_check(
+    data: Annotated[str, typer.Option(help="Folder, video, or device; or left,right.")],
+    calibration: Calibration = None,
+    size: Size = None,
+    fps: Fps = None,
+    fourcc: Fourcc = None,
+    max_skew_ms: Skew = None,
+    pairs: Annotated[int, typer.Option(min=1, help="So many pairs of images.")] = 10,
+    interval: Annotated[float, typer.Option(min=0, help="Seconds between two of them.")] = 0.5,
+    length: Annotated[float | None, typer.Option(help="A length you know, in metres.")] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(help="The side of a chessboard's squares; its inner corners, 9x6."),
+    ] = None,
+    points: Annotated[
+        str | None, typer.Option(help="Between u1,v1,u2,v2 of the rectified left image.")
+    ] = None,
+    save: Annotated[
+        Path | None, typer.Option(help="Write the rectified first pair with level lines (.png).")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Says whether a stereo rig is as its calibration says, else what has moved and what to do.
+
+    Ends with 0 where it fits, with 1 where it does not or cannot be told.
+    """
+    from robot_agent.cameras.video import video_settings
+    from robot_agent.checking.command import CheckOptions, run
+
+    logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format=LOG_FORMAT)
+    video = video_settings(size, fps, fourcc, 10.0 if max_skew_ms is None else max_skew_ms)
+    options = CheckOptions(
+        data, calibration, video, pairs, interval, length, board, points, save, as_json
+    )
+    raise typer.Exit(run(options))
+
+
 def _leave() -> None:
     """Ends at once where a view is still being worked on or waited for: the interpreter must not
     pull the rug from under OpenCV, and nobody waits for that view any more.

@@ -17,6 +17,7 @@ class Rectifier:
         K: (3, 3) intrinsics of both rectified images, px.
         baseline_m: between both cameras.
         T_robot_rectified: (4, 4) where the rectified left camera sits on the robot.
+        R_rect_left, R_rect_right: (3, 3) each camera's own axes to the rectified ones.
 
     Raises:
         CalibrationError: the calibration cannot be rectified.
@@ -25,6 +26,7 @@ class Rectifier:
     def __init__(self, rig: StereoRig) -> None:
         self.K, self.baseline_m = rig.K_left, rig.baseline_m
         self.T_robot_rectified = rig.T_robot_left
+        self.R_rect_left, self.R_rect_right = np.eye(3), np.eye(3)
         self._maps: list[tuple[npt.NDArray, npt.NDArray]] = []
         if rig.is_rectified:
             return
@@ -35,9 +37,10 @@ class Rectifier:
         )[:4]  # fmt: skip
         self.K = np.array(P_left[:, :3], np.float64)
         self.baseline_m = -float(P_right[0, 3] / P_right[0, 0])
+        self.R_rect_left, self.R_rect_right = np.array(R_rect_left), np.array(R_rect_right)
         _check_rectified(self.K, self.baseline_m, rig)
         T_left_rectified = np.eye(4)
-        T_left_rectified[:3, :3] = R_rect_left.T
+        T_left_rectified[:3, :3] = self.R_rect_left.T
         self.T_robot_rectified = rig.T_robot_left @ T_left_rectified
         for K, D, R_rect, P in (
             (rig.K_left, rig.D_left, R_rect_left, P_left),

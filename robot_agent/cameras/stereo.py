@@ -49,8 +49,8 @@ class StereoMatcher:
 
     def __init__(self, rig: StereoRig, nearest_m: float | None = None) -> None:
         self.rig = rig
-        self._rectifier = Rectifier(rig)
-        K, baseline_m = self._rectifier.K, self._rectifier.baseline_m
+        self.rectifier = Rectifier(rig)
+        K, baseline_m = self.rectifier.K, self.rectifier.baseline_m
         nearest_m = nearest_m or NEAREST_BASELINES * baseline_m
         largest = K[0, 0] * baseline_m / nearest_m
         if largest > rig.size[0] // 2:
@@ -63,7 +63,7 @@ class StereoMatcher:
             width=rig.size[0],
             height=rig.size[1],
             K=K,
-            T_robot_camera=self._rectifier.T_robot_rectified,
+            T_robot_camera=self.rectifier.T_robot_rectified,
             noise=NoiseModel.stereo(K[0, 0], baseline_m, DISPARITY_SIGMA_PX, PIXEL_SIGMA_PX),
             kind="stereo",
         )
@@ -85,7 +85,7 @@ class StereoMatcher:
                     f"{name} image is {image.shape[1]}x{image.shape[0]} {image.dtype}, the "
                     f"calibration is for {self.rig.size[0]}x{self.rig.size[1]} uint8"
                 )
-        left, right = self._rectifier.left(left), self._rectifier.right(right)
+        left, right = self.rectifier.left(left), self.rectifier.right(right)
         disparity = self.disparity(_grey(left), _grey(right))
         assert self.model.noise.focal_baseline_px_m is not None
         ranges = DisparityImage(disparity, self.model.noise.focal_baseline_px_m, 1 / _SUBPIXELS)
