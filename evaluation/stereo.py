@@ -9,7 +9,8 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -162,7 +163,7 @@ def agent_load(video: Path, calibration: Path) -> dict[str, float]:
     return {"agent_rss_mb": max(resident), "agent_cpu_ms_per_view": 1e3 * cpu_s / (last - first)}
 
 
-def _wait_views(fleet: LocalFleet, arrived: Any) -> None:
+def _wait_views(fleet: LocalFleet, arrived: Callable[[], bool]) -> None:
     if not wait_running(fleet, arrived, 60.0 + AGENT_VIEWS):
         raise FleetPoseError(f"the agent sends too few views; its log ends:\n{fleet.tail('r1')}")
 

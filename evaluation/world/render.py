@@ -90,7 +90,7 @@ class Renderer:
 
     def with_quads(self, quads: Sequence[Quad]) -> "Renderer":
         """The same scene with more in it."""
-        return Renderer((*self._quads, *quads), self._sky[:, :-1])
+        return Renderer((*self._quads, *quads), self._sky[:, :-1].astype(np.float32))
 
     def render(self, T_world_camera: Floats, K: Floats, size: tuple[int, int]) -> Rendering:
         """An image without sensor noise, and the exact depth, of a pinhole camera.

@@ -223,7 +223,8 @@ def _moments(matches: Matches, fit: Fit) -> list[Finding]:
         return []
     medians = np.array([np.median(r) for r in rows])
     value = float(medians.std(ddof=1))
-    sigma = value / np.sqrt(2 * (len(rows) - 1))
+    errors = [1.2533 * 1.4826 * np.median(np.abs(r)) / np.sqrt(len(r)) for r in rows]
+    sigma = _rms(np.array(errors))  # of one median: what noise alone makes
     state = judged(value, sigma, PIXEL_SIGMA_PX)
     says = f"rows move by {value:.2f} px from pair to pair"
     if state == "off":

@@ -94,7 +94,9 @@ def _sandwich(
     scale: float,
 ) -> Floats:
     """Covariance (6, 6) from the scatter of whole tiles, and what all of a tile may be off by."""
-    bread = np.linalg.inv((J.T * weight) @ J + ridge)
+    # the derivative of Tukey's influence: with the weights alone sigmas come out a fifth too small
+    curvature = np.where(weight > 0, np.sqrt(weight) * (5 * np.sqrt(weight) - 4), 0.0)
+    bread = np.linalg.inv((J.T * curvature) @ J + ridge)
     scores, leverage = np.zeros((2, COLUMNS * ROWS, 6))
     np.add.at(scores, tiles, J * (weight * rows)[:, None])
     np.add.at(leverage, tiles, J * weight[:, None])
