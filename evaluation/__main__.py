@@ -117,6 +117,14 @@ def load(
 
 
 @app.command()
+def stereo(out: Out) -> None:
+    """Play a stereo video of the synthetic world; check calibrations, right and wrong."""
+    from evaluation.stereo import run
+
+    run(out)
+
+
+@app.command()
 def demo(
     robots: Annotated[int, typer.Option(min=2, help="How many.")] = 6,
     seconds: Annotated[float, typer.Option(help="At most, without a screen.")] = 90,

@@ -15,6 +15,20 @@ from protocol.errors import FleetPoseError
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
 LOG_FORMAT = "%(asctime)s %(levelname)s %(name)s %(message)s"
 
+Calibration = Annotated[
+    Path | None,
+    typer.Option(help="Stereo: stereo.json, OpenCV yml/xml, Kalibr yaml. [default: beside images]"),
+]
+Size = Annotated[
+    str | None, typer.Option(help="Devices: WIDTHxHEIGHT, both eyes where side by side.")
+]
+Fps = Annotated[float | None, typer.Option(help="Devices and videos: their frames per second.")]
+Fourcc = Annotated[str | None, typer.Option(help="Devices: coding of images, e.g. MJPG.")]
+Skew = Annotated[
+    float | None,
+    typer.Option(help="Two devices: images further apart are dropped. [default: 10]"),
+]
+
 
 @app.callback()
 def _agent() -> None:
@@ -25,7 +39,14 @@ def _agent() -> None:
 def run(
     name: Annotated[str | None, typer.Option(help="The robot's name, unique in its site.")] = None,
     camera: Annotated[str | None, typer.Option(help="rgbd, views, stereo or synthetic.")] = None,
-    data: Annotated[str | None, typer.Option(help="Folder or endpoint of the camera.")] = None,
+    data: Annotated[
+        str | None, typer.Option(help="Folder, video, device (or left,right) or endpoint.")
+    ] = None,
+    calibration: Calibration = None,
+    size: Size = None,
+    fps: Fps = None,
+    fourcc: Fourcc = None,
+    max_skew_ms: Skew = None,
     rate: Annotated[float | None, typer.Option(help="Frames per second. [default: 1]")] = None,
     replay: Annotated[
         str | None, typer.Option(help="once, loop, pingpong or hold. [default: once]")
@@ -63,6 +84,11 @@ def run(
         "name": name,
         "camera": camera,
         "data": data,
+        "calibration": calibration,
+        "size": size,
+        "fps": fps,
+        "fourcc": fourcc,
+        "max_skew_ms": max_skew_ms,
         "rate_hz": rate,
         "replay": replay,
         "clouds": clouds,
@@ -91,11 +117,50 @@ def run(
     _leave()
 
 
-def _leave() -> None:
-    """Ends at once where a view is still being worked on: the interpreter must not pull the rug
-    from under OpenCV, and nobody waits for that view any more.
+@app.command("calibrate-check")
+def calibrate_check(
+    data: Annotated[str, typer.Option(help="Folder, video, or device; or left,right.")],
+    calibration: Calibration = None,
+    size: Size = None,
+    fps: Fps = None,
+    fourcc: Fourcc = None,
+    max_skew_ms: Skew = None,
+    pairs: Annotated[int, typer.Option(min=1, help="So many pairs of images.")] = 10,
+    interval: Annotated[float, typer.Option(min=0, help="Seconds between two of them.")] = 0.5,
+    length: Annotated[float | None, typer.Option(help="A length you know, in metres.")] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(help="The side of a chessboard's squares; its inner corners, 9x6."),
+    ] = None,
+    points: Annotated[
+        str | None, typer.Option(help="Between u1,v1,u2,v2 of the rectified left image.")
+    ] = None,
+    save: Annotated[
+        Path | None, typer.Option(help="Write the rectified first pair with level lines (.png).")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Says whether a stereo rig is as its calibration says, else what has moved and what to do.
+
+    Ends with 0 where it fits, with 1 where it does not or cannot be told.
     """
-    if any(thread.name.startswith("sender ") for thread in threading.enumerate()):
+    from robot_agent.cameras.video import video_settings
+    from robot_agent.checking.command import CheckOptions, run
+
+    logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format=LOG_FORMAT)
+    video = video_settings(size, fps, fourcc, 10.0 if max_skew_ms is None else max_skew_ms)
+    options = CheckOptions(
+        data, calibration, video, pairs, interval, length, board, points, save, as_json
+    )
+    raise typer.Exit(run(options))
+
+
+def _leave() -> None:
+    """Ends at once where a view is still being worked on or waited for: the interpreter must not
+    pull the rug from under OpenCV, and nobody waits for that view any more.
+    """
+    busy = ("sender ", "reader ")
+    if any(thread.name.startswith(busy) for thread in threading.enumerate()):
         logging.shutdown()
         os._exit(0)
 
@@ -107,7 +172,7 @@ def main() -> None:
     except FleetPoseError as error:
         sys.exit(_refuse(str(error)))
     except ModuleNotFoundError as error:
-        if error.name not in ("cv2",):
+        if error.name not in ("cv2", "yaml"):
             raise
         sys.exit(_refuse(f"{error.name} is missing: pip install 'fleetpose[robot]'"))
 

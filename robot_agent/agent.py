@@ -11,6 +11,7 @@ import cv2
 from protocol.transport import SessionSettings
 from robot_agent.cameras.base import Frame
 from robot_agent.cameras.factory import open_camera
+from robot_agent.cameras.video import video_settings
 from robot_agent.client import FleetRobot
 from robot_agent.sender import SenderSettings
 from robot_agent.settings import RobotSettings
@@ -28,7 +29,14 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
     """
     cv2.setNumThreads(settings.opencv_threads or -1)
     camera = open_camera(
-        settings.camera, settings.data, settings.replay, settings.clouds, settings.view
+        settings.camera,
+        settings.data,
+        settings.replay,
+        clouds=settings.clouds,
+        view=settings.view,
+        calibration=settings.calibration,
+        video=video_settings(settings.size, settings.fps, settings.fourcc, settings.max_skew_ms),
+        stop=stop,
     )
     try:
         with FleetRobot(

@@ -34,7 +34,7 @@ def salient_points(
     grey = image
     if image.ndim == 3:
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-    uv, strength, descriptors = _detect(grey, 2 * max_points)
+    uv, strength, descriptors = detect(grey, 2 * max_points)
     lifted = lift_points(uv, ranges, model)
     chosen = np.lexsort((-strength, np.isnan(lifted.inverse_depth)))[:max_points]
     chosen = chosen[np.argsort(-strength[chosen], kind="stable")]
@@ -53,9 +53,12 @@ def root_sift(sift: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
     return np.minimum(root, 255).astype(np.uint8)
 
 
-def _detect(
+def detect(
     grey: npt.NDArray[np.uint8], count: int
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """SIFT of a grey image (H, W): pixels (N, 2), strengths (N,), descriptors (N, 128), as many as
+    the `count` strongest away from the border.
+    """
     # without precise upscaling OpenCV's SIFT finds points a quarter pixel off
     sift = cv2.SIFT_create(nfeatures=count, enable_precise_upscale=True)
     keypoints, descriptors = sift.detectAndCompute(grey, None)

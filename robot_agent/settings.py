@@ -42,7 +42,18 @@ class RobotSettings(BaseSettings):
     )
     connect_timeout_s: float = Field(10.0, description="wait for the router; negative: for ever")
     camera: CameraKind = Field(description="kind of camera")
-    data: str = Field("", description="folder or endpoint of the camera")
+    data: str = Field("", description="folder, video, device (or left,right), or endpoint")
+    calibration: Path | None = Field(None, description="stereo: file; else beside the images")
+    size: Annotated[str, Field(pattern=r"^[1-9]\d{1,4}x[1-9]\d{1,4}$")] | None = Field(
+        None, description="devices: WIDTHxHEIGHT of the images, both eyes where side by side"
+    )
+    fps: float | None = Field(None, gt=0, le=1000, description="devices, videos: frames per second")
+    fourcc: Annotated[str, Field(pattern=r"^[!-~]{4}$")] | None = Field(
+        None, description="devices: coding of the images, e.g. MJPG"
+    )
+    max_skew_ms: float = Field(
+        10.0, gt=0, le=1000, description="two devices: images taken further apart are dropped"
+    )
     clouds: str | None = Field(None, description="kind of clouds; for posed views")
     view: str | None = Field(None, description="the one view to show; for posed views")
     replay: ReplayMode = "once"

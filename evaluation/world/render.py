@@ -88,6 +88,10 @@ class Renderer:
         wrapped = np.concatenate((sky, sky[:, :1]), axis=1)
         self._sky = np.clip(wrapped, 0, 255).astype(np.uint8)
 
+    def with_quads(self, quads: Sequence[Quad]) -> "Renderer":
+        """The same scene with more in it."""
+        return Renderer((*self._quads, *quads), self._sky[:, :-1].astype(np.float32))
+
     def render(self, T_world_camera: Floats, K: Floats, size: tuple[int, int]) -> Rendering:
         """An image without sensor noise, and the exact depth, of a pinhole camera.
 

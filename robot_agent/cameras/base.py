@@ -7,7 +7,12 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from protocol.errors import FleetPoseError
 from protocol.messages import Camera as CameraModel
+
+
+class CameraError(FleetPoseError):
+    """A camera's device or video is missing, busy, or has stopped; the sentence says what to do."""
 
 
 @dataclass(frozen=True)

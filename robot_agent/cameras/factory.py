@@ -1,35 +1,53 @@
 """Opens a camera by its kind.
 
-A new kind is one new module here with a function `open_camera(source, replay)`.
+A new kind is one new module here with a function `open_camera(source, replay)`; options of its own
+are named in `_OPTIONS`.
 """
 
+import threading
 from importlib import import_module
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 from robot_agent.cameras.base import Camera
 
 CameraKind = Literal["rgbd", "views", "stereo", "synthetic"]
+_OPTIONS = {"views": ("clouds", "view"), "stereo": ("calibration", "video", "stop")}
 
 
 def open_camera(
     kind: CameraKind,
     source: str,
     replay: str,
+    *,
     clouds: str | None = None,
     view: str | None = None,
+    calibration: Path | None = None,
+    video: Any = None,
+    stop: threading.Event | None = None,
 ) -> Camera:
     """Opens a camera.
 
     Args:
         kind: the name of its module in `robot_agent.cameras`; only that one is imported.
-        source: a folder or an endpoint, whatever the kind reads.
+        source: a folder, a file, a device or an endpoint, whatever the kind reads.
         replay: `once`, `loop`, `pingpong` or `hold`, for recordings.
         clouds: posed views only, which kind of clouds to take.
         view: posed views only, the one view to take.
+        calibration: stereo only, its file.
+        video: stereo only, `robot_agent.cameras.video.VideoSettings`.
+        stop: stereo only, ends the waiting for a device.
 
     Raises:
         FleetPoseError: the source cannot be read or is not calibrated.
     """
+    given = {
+        "clouds": clouds,
+        "view": view,
+        "calibration": calibration,
+        "video": video,
+        "stop": stop,
+    }
     module = import_module(f"robot_agent.cameras.{kind}")
-    options = {"clouds": clouds, "view": view} if kind == "views" else {}
+    options = {name: given[name] for name in _OPTIONS.get(kind, ())}
     return module.open_camera(source, replay, **options)

@@ -1,4 +1,4 @@
-"""A calibrated stereo pair, and reading it from files.
+"""A calibrated stereo pair, and reading it from files: our JSON, OpenCV's, Kalibr's.
 
 Conventions are those of `cv2.stereoCalibrate`: `R` and `t` map points of the left camera to the
 right one, `x_right = R x_left + t`, t in metres, so the first coordinate of t is minus the
@@ -16,12 +16,13 @@ import numpy.typing as npt
 
 from protocol.errors import CalibrationError, DataFolderError
 from protocol.messages import ROBOT_FROM_CAMERA
+from robot_agent.cameras import kalibr
 from robot_agent.cameras.files import read_json
 
 Floats = npt.NDArray[np.float64]
 
 MAX_BASELINE_M = 5.0
-RIG_FILES = ("stereo.json", "stereo.yml", "stereo.yaml", "stereo.xml")
+RIG_FILES = ("stereo.json", "stereo.yml", "stereo.yaml", "stereo.xml", "camchain.yaml")
 # our name, then those of OpenCV's samples and of common tools
 _NAMES = {
     "K_left": ("K_left", "K1", "M1", "cameraMatrix1"),
@@ -30,6 +31,8 @@ _NAMES = {
     "D_right": ("D_right", "D2", "distCoeffs2"),
     "R": ("R",),
     "t": ("t", "T"),
+    "width": ("width", "image_width"),
+    "height": ("height", "image_height"),
 }
 
 
@@ -113,8 +116,8 @@ def rig_of(
         T_right_left[:3, 3] = _array(found["t"]).reshape(3)
         if "T_robot_left" in content:
             T_robot_left = _array(content["T_robot_left"]).reshape(4, 4)
-        if "width" in content and "height" in content:
-            size = int(content["width"]), int(content["height"])
+        if found["width"] is not None and found["height"] is not None:
+            size = int(found["width"]), int(found["height"])
         if size is None:
             raise CalibrationError(f"{where} lacks width and height of the images")
         return StereoRig(
@@ -147,24 +150,43 @@ def content_of(rig: StereoRig) -> dict[str, Any]:
 
 
 def read_rig(folder: Path, size: tuple[int, int] | None = None) -> StereoRig:
-    """Reads `stereo.json`, `stereo.yml`, `stereo.xml`, or OpenCV's pair intrinsics/extrinsics.yml.
+    """Reads the calibration that lies in a folder: one of `RIG_FILES`, or OpenCV's pair
+    intrinsics.yml and extrinsics.yml.
 
     Raises:
         CalibrationError: there is none, or it is impossible.
     """
-    for name in RIG_FILES:
+    for name in (*RIG_FILES, "intrinsics.yml"):
         if (folder / name).is_file():
-            return rig_of(_read(folder / name), str(folder / name), size)
-    pair = [folder / "intrinsics.yml", folder / "extrinsics.yml"]
-    if all(path.is_file() for path in pair):
-        return rig_of({**_read(pair[0]), **_read(pair[1])}, str(pair[0]), size)
+            return read_rig_file(folder / name, size)
     raise CalibrationError(
         f"{folder} has no calibration: put {', '.join(RIG_FILES)} there, or OpenCV's "
-        "intrinsics.yml with extrinsics.yml"
+        "intrinsics.yml with extrinsics.yml, or give --calibration FILE"
     )
 
 
+def read_rig_file(path: Path, size: tuple[int, int] | None = None) -> StereoRig:
+    """Reads a calibration: our JSON, OpenCV's yml, xml or json, or Kalibr's camchain yaml.
+
+    Args:
+        path: the file; of OpenCV's pair the `intrinsics.yml`, with `extrinsics.yml` beside it.
+        size: width, height of the images, used where the file does not say it.
+
+    Raises:
+        CalibrationError: there is none, or it is impossible.
+    """
+    if not path.is_file():
+        raise CalibrationError(f"there is no calibration {path}")
+    content = _read(path)
+    beside = path.with_name(path.name.replace("intrinsics", "extrinsics"))
+    if beside != path and beside.is_file():
+        content |= _read(beside)
+    return rig_of(content, str(path), size)
+
+
 def _read(path: Path) -> dict[str, Any]:
+    if path.suffix in (".yml", ".yaml") and kalibr.is_kalibr(path):
+        return kalibr.read_camchain(path)
     if path.suffix != ".json":
         return _read_opencv(path)
     try:
@@ -179,6 +201,8 @@ def _read(path: Path) -> dict[str, Any]:
 def _read_opencv(path: Path) -> dict[str, Any]:
     try:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        if not storage.isOpened():
+            raise CalibrationError(f"{path} cannot be read as an OpenCV file")
         root = storage.root()
         content = {name: _value(root.getNode(name)) for name in root.keys()}  # noqa: SIM118
     except (cv2.error, SystemError) as error:

@@ -1,10 +1,10 @@
 """Stereo: two images of a calibrated rig become one rectified image with disparities.
 
-A recording is a folder with `left/` and `right/`, images that belong together at the same place
-when sorted by name, and the calibration as `robot_agent.cameras.rig` reads it.
+The pairs come from a folder, a video or a device (`robot_agent.cameras.pairs`), the calibration
+from a file (`robot_agent.cameras.rig`).
 """
 
-import time
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,13 +12,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from protocol.errors import CalibrationError, DataFolderError
+from protocol.errors import CalibrationError
 from protocol.messages import Camera as CameraModel
 from protocol.messages import NoiseModel
 from robot_agent.cameras.base import DisparityImage, Frame
-from robot_agent.cameras.files import read_colour
-from robot_agent.cameras.replay import replay_order
-from robot_agent.cameras.rig import Floats, StereoRig, read_rig
+from robot_agent.cameras.pairs import PairSource, open_pairs
+from robot_agent.cameras.rectify import Rectifier
+from robot_agent.cameras.rig import StereoRig, read_rig, read_rig_file
+from robot_agent.cameras.video import VideoSettings
 
 Image = npt.NDArray[np.uint8]
 Disparity = npt.NDArray[np.float32]
@@ -35,7 +36,6 @@ MIN_SLOPE = 1.5  # mean grey levels per px along the row: below, sensor noise de
 _SUBPIXELS = 16  # of OpenCV's fixed point
 _BLOCK = 5
 _SLOPE_WINDOW = 7
-_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 class StereoMatcher:
@@ -49,8 +49,8 @@ class StereoMatcher:
 
     def __init__(self, rig: StereoRig, nearest_m: float | None = None) -> None:
         self.rig = rig
-        self._rectifier = _Rectifier(rig)
-        K, baseline_m = self._rectifier.K, self._rectifier.baseline_m
+        self.rectifier = Rectifier(rig)
+        K, baseline_m = self.rectifier.K, self.rectifier.baseline_m
         nearest_m = nearest_m or NEAREST_BASELINES * baseline_m
         largest = K[0, 0] * baseline_m / nearest_m
         if largest > rig.size[0] // 2:
@@ -63,7 +63,7 @@ class StereoMatcher:
             width=rig.size[0],
             height=rig.size[1],
             K=K,
-            T_robot_camera=self._rectifier.T_robot_rectified,
+            T_robot_camera=self.rectifier.T_robot_rectified,
             noise=NoiseModel.stereo(K[0, 0], baseline_m, DISPARITY_SIGMA_PX, PIXEL_SIGMA_PX),
             kind="stereo",
         )
@@ -85,7 +85,7 @@ class StereoMatcher:
                     f"{name} image is {image.shape[1]}x{image.shape[0]} {image.dtype}, the "
                     f"calibration is for {self.rig.size[0]}x{self.rig.size[1]} uint8"
                 )
-        left, right = self._rectifier.left(left), self._rectifier.right(right)
+        left, right = self.rectifier.left(left), self.rectifier.right(right)
         disparity = self.disparity(_grey(left), _grey(right))
         assert self.model.noise.focal_baseline_px_m is not None
         ranges = DisparityImage(disparity, self.model.noise.focal_baseline_px_m, 1 / _SUBPIXELS)
@@ -120,96 +120,73 @@ class StereoMatcher:
         return np.asarray(found, np.float32) * np.float32(width / half[0])
 
 
-class StereoFolder:
-    """A recorded stereo camera."""
+class StereoCamera:
+    """A stereo camera: recorded, a video, or live."""
 
-    def __init__(self, matcher: StereoMatcher, pairs: list[tuple[Path, Path]], replay: str) -> None:
+    def __init__(self, matcher: StereoMatcher, source: PairSource) -> None:
         self._matcher = matcher
-        self._pairs = pairs
-        self._order = replay_order(len(pairs), replay)
+        self._source = source
 
     def frames(self) -> Iterator[Frame]:
-        for index in self._order:
-            stamp_ns = time.time_ns()
-            left, right = (read_colour(path) for path in self._pairs[index])
-            yield self._matcher.frame(left, right, stamp_ns)
+        for pair in self._source.pairs():
+            yield self._matcher.frame(pair.left, pair.right, pair.stamp_ns)
 
     def close(self) -> None:
-        """Nothing is held open."""
+        self._source.close()
 
 
-def open_camera(source: str, replay: str) -> StereoFolder:
-    """Opens a folder of stereo pairs.
+def open_camera(
+    source: str,
+    replay: str,
+    calibration: Path | None = None,
+    video: VideoSettings | None = None,
+    stop: threading.Event | None = None,
+) -> StereoCamera:
+    """Opens a stereo camera.
 
     Args:
-        source: the folder.
-        replay: see `replay_order`.
+        source, replay, video, stop: see `open_pairs`.
+        calibration: its file; without one it is looked for beside the images.
 
     Raises:
         DataFolderError: images are missing.
-        CalibrationError: the calibration is missing or impossible.
+        CameraError: a device or a video cannot be opened.
+        CalibrationError: the calibration is missing, impossible, or of another size.
     """
-    folder = Path(source)
-    left, right = (_images(folder / side) for side in ("left", "right"))
-    if len(left) != len(right):
-        raise DataFolderError(
-            f"{folder} has {len(left)} left and {len(right)} right images: each needs its partner"
-        )
-    height, width = read_colour(left[0]).shape[:2]
-    matcher = StereoMatcher(read_rig(folder, (width, height)))
-    return StereoFolder(matcher, list(zip(left, right, strict=True)), replay)
+    pairs = open_pairs(source, replay, video, stop)
+    try:
+        return StereoCamera(StereoMatcher(calibrated(pairs, calibration)), pairs)
+    except Exception:
+        pairs.close()
+        raise
 
 
-class _Rectifier:
-    """Warps both images so that the same point lies in the same row."""
+def calibrated(pairs: PairSource, calibration: Path | None) -> StereoRig:
+    """The rig of a source.
 
-    def __init__(self, rig: StereoRig) -> None:
-        self.K, self.baseline_m = rig.K_left, rig.baseline_m
-        self.T_robot_rectified = rig.T_robot_left
-        self._maps: list[tuple[npt.NDArray, npt.NDArray]] = []
-        if rig.is_rectified:
-            return
-        R, t = rig.T_right_left[:3, :3], rig.T_right_left[:3, 3:]
-        R_rect_left, R_rect_right, P_left, P_right = cv2.stereoRectify(
-            rig.K_left, rig.D_left, rig.K_right, rig.D_right, rig.size, R, t,
-            flags=cv2.CALIB_ZERO_DISPARITY, alpha=0,
-        )[:4]  # fmt: skip
-        self.K = np.array(P_left[:, :3], np.float64)
-        self.baseline_m = -float(P_right[0, 3] / P_right[0, 0])
-        _check_rectified(self.K, self.baseline_m, rig)
-        T_left_rectified = np.eye(4)
-        T_left_rectified[:3, :3] = R_rect_left.T
-        self.T_robot_rectified = rig.T_robot_left @ T_left_rectified
-        for K, D, R_rect, P in (
-            (rig.K_left, rig.D_left, R_rect_left, P_left),
-            (rig.K_right, rig.D_right, R_rect_right, P_right),
-        ):
-            self._maps.append(
-                cv2.initUndistortRectifyMap(K, D, R_rect, P, rig.size, cv2.CV_32FC1)  # pyright: ignore[reportArgumentType]
-            )
+    Args:
+        pairs: the source.
+        calibration: the file; without one it is looked for beside the images.
 
-    def left(self, image: Image) -> Image:
-        return self._warp(image, 0)
-
-    def right(self, image: Image) -> Image:
-        return self._warp(image, 1)
-
-    def _warp(self, image: Image, side: int) -> Image:
-        if not self._maps:
-            return image
-        return np.asarray(cv2.remap(image, *self._maps[side], cv2.INTER_LINEAR), np.uint8)
-
-
-def _check_rectified(K: Floats, baseline_m: float, rig: StereoRig) -> None:
-    """Distortion or a rotation that cannot be leave hardly anything of the image, or turn it
-    inside out.
+    Raises:
+        CalibrationError: it is missing, impossible, or made for images of another size.
     """
-    zoom = K[0, 0] / rig.K_left[0, 0]
-    if not np.isfinite(K).all() or baseline_m <= 0 or not 1 / 3 < zoom < 3:
+    if calibration is not None:
+        rig = read_rig_file(calibration, pairs.size)
+    elif pairs.folder is not None:
+        rig = read_rig(pairs.folder, pairs.size)
+    else:
         raise CalibrationError(
-            f"the calibration cannot be rectified (zoom {zoom:.2g}, baseline {baseline_m:.3g} m): "
-            "check R, t and the distortion, or calibrate again"
+            f"{pairs.name} needs its calibration: give --calibration FILE (stereo.json, OpenCV's "
+            "yml or xml, Kalibr's camchain yaml)"
         )
+    if rig.size != pairs.size:
+        raise CalibrationError(
+            f"each eye of {pairs.name} gives {pairs.size[0]}x{pairs.size[1]}, the calibration is "
+            f"for {rig.size[0]}x{rig.size[1]}: ask the device for that size with --size (of both "
+            "eyes together where they come side by side), or calibrate at the size it has"
+        )
+    return rig
 
 
 class _Sgbm:
@@ -265,10 +242,3 @@ def _grey(image: Image) -> Image:
     if image.ndim == 2:
         return image
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-
-
-def _images(folder: Path) -> list[Path]:
-    images = sorted(p for p in folder.glob("*") if p.suffix.lower() in _ENDINGS)
-    if not images:
-        raise DataFolderError(f"{folder} has no images ({', '.join(_ENDINGS)})")
-    return images

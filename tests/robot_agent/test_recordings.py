@@ -42,11 +42,9 @@ def seven_scenes(tmp_path):
 def tum(tmp_path):
     for folder in ("rgb", "depth"):
         (tmp_path / folder).mkdir()
-    colours, depths = ["# time file"], ["# time file"]
+    colours, depths = ["# time file"], ["# time file"]  # images as large as the default matrix asks
     for n in range(4):
-        depth = np.full(
-            (480, 640), 5000 * (n + 1), np.uint16
-        )  # the default matrix is for this size
+        depth = np.full((480, 640), 5000 * (n + 1), np.uint16)
         cv2.imwrite(str(tmp_path / f"rgb/{n}.png"), cv2.resize(picture(20 * n + 20), (640, 480)))
         cv2.imwrite(str(tmp_path / f"depth/{n}.png"), depth)
         colours.append(f"{100 + n}.000 rgb/{n}.png")

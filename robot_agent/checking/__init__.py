@@ -1,0 +1,1 @@
+"""Whether a stereo rig is as its calibration says: rows, rotation, lengths."""
