@@ -65,12 +65,23 @@ def run(
 
 @app.command()
 def router(
-    listen: Annotated[str, typer.Option(help="Endpoint to listen on.")] = "tcp/127.0.0.1:7447",
+    listen: Annotated[
+        list[str] | None,
+        typer.Option(help="Endpoint, repeatable. [default: tcp/127.0.0.1:7447]"),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="zenoh configuration (JSON5) of a router instead, e.g. with TLS."),
+    ] = None,
 ) -> None:
-    """Runs a zenoh router without a pose server."""
+    """Runs a zenoh router without a pose server.
+
+    On a machine that others connect to: --listen tcp/0.0.0.0:7447. It then lets in everybody who
+    reaches it, unencrypted, unless a configuration says otherwise.
+    """
     from pose_server.router import route
 
-    route(listen)
+    route(tuple(listen or ["tcp/127.0.0.1:7447"]), config)
 
 
 def main() -> None:

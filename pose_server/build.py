@@ -18,7 +18,7 @@ from pose_server.site import Site  # noqa: E402
 from pose_server.views import KeptView, open_view  # noqa: E402
 from protocol.errors import CodecError, FleetPoseError  # noqa: E402
 from protocol.keys import checked_name, ordered_pair  # noqa: E402
-from protocol.text import one_line  # noqa: E402
+from protocol.logs import log_to_stderr  # noqa: E402
 from protocol.transport import Link, SessionSettings, open_session  # noqa: E402
 
 log = logging.getLogger("pose_server")
@@ -30,7 +30,7 @@ def build(settings: ServerSettings) -> Service:
     Raises:
         FleetPoseError: the journal is in use, the router is not there, or a file is malformed.
     """
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s %(message)s")
+    log_to_stderr()
     skip = frozenset() if settings.skip_pairs is None else read_pairs(settings.skip_pairs)
     journal = Journal(settings.state_dir / "journal.sqlite3")
     site = Site(
@@ -50,7 +50,7 @@ def _opened(stored: StoredView, now_s: float) -> KeptView | None:
     try:
         return open_view(stored.encoded, None, now_s)
     except CodecError as error:
-        log.error("journalled view %s is left out: %s", stored.name, one_line(str(error)))
+        log.error("journalled view %s is left out: %s", stored.name, error)
         return None
 
 

@@ -2,14 +2,15 @@
 
 import signal
 import threading
+from pathlib import Path
 
-from protocol.transport import run_router
+from protocol.transport import SessionSettings, run_router
 
 
-def route(endpoint: str) -> None:
-    """Routes until SIGTERM or SIGINT."""
+def route(listen: tuple[str, ...], config: Path | None) -> None:
+    """Routes until SIGTERM or SIGINT; a zenoh configuration replaces the endpoints."""
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    print(f"router on {endpoint}", flush=True)
-    run_router(endpoint, stop)
+    print(f"router on {config or ', '.join(listen)}", flush=True)
+    run_router(SessionSettings(listen=listen, config_file=config), stop)

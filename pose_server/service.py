@@ -11,13 +11,13 @@ import time
 from concurrent.futures import Future
 from contextlib import suppress
 
-from pose_server import pipeline, publish
+from pose_server import answers, pipeline, publish
 from pose_server.awaiting import Awaiting
 from pose_server.correspondences.book import Outcome
 from pose_server.correspondences.journal import Journal, StoredView
-from pose_server.correspondences.records import JournalError
+from pose_server.correspondences.records import JournalError, Numbered, Session
 from pose_server.fetching import Fetched, FetchedNewest, Fetcher
-from pose_server.inbox import Asked, Inbox, Selected, TokenSeen, Updated
+from pose_server.inbox import Asked, Inbox, Selected, TokenSeen, Unusable, Updated, UpdateNumber
 from pose_server.pairs.engine import Done, Engine
 from pose_server.publish import Stamp
 from pose_server.publishers import Publishers
@@ -25,11 +25,11 @@ from pose_server.settings import ServerSettings
 from pose_server.site import Site
 from pose_server.status import Load, server_status
 from pose_server.views import open_view
-from protocol.codec import encoding_of, pack, unpack
+from protocol.codec import pack
 from protocol.drops import Drops
 from protocol.errors import CodecError, FleetPoseError
 from protocol.keys import Keys, new_epoch, ordered_pair
-from protocol.messages import KeptView, OperatorUpdate, View, ViewName
+from protocol.messages import KeptView, OperatorUpdate, ViewName
 from protocol.presence import Presence
 from protocol.transport import Answer, Link
 
@@ -66,7 +66,7 @@ class Service:
         self._saw_newest: dict[str, object] = {}
         self._noted_anchor = site.anchor
         self._unclicked = False
-        self._unanswered: dict[tuple[str, str], OperatorUpdate] = {}
+        self._unanswered: dict[Session, Numbered] = {}
         self._untold: set[tuple[str, str]] = set()
         self._imaged: set[ViewName] = set()
 
@@ -86,7 +86,9 @@ class Service:
         )
         self._inbox.subscribe(self.link)
         self.link.queryable(self.keys.relative, self._ask)
-        self.link.queryable(self.keys.server_view, self._journalled_view)
+        self.link.queryable(
+            self.keys.server_view, lambda asked: answers.journalled_view(self.journal, asked)
+        )
         self.site.say(f"server {self.epoch} started with {self.settings.workers} workers")
         log.info("serving site=%s epoch=%s", self.settings.site, self.epoch)
         self._publish_all_correspondences()
@@ -126,6 +128,8 @@ class Service:
                 self._finished(event)
             case Updated():
                 self._updated(event.update)
+            case Unusable():
+                self._unusable(event.number, event.reason)
             case Selected():
                 now_s = time.monotonic()
                 for view in pipeline.receive_selection(self.site, event.selection, now_s):
@@ -138,7 +142,7 @@ class Service:
             case TokenSeen():
                 self._token(event)
             case Asked():
-                event.answer.set_result(self._relative(event.parameters))
+                event.answer.set_result(answers.relative(self.site, event.parameters))
             case _:
                 pass
 
@@ -192,7 +196,7 @@ class Service:
             return
         if done.result is None:
             log.warning(
-                "alignment of %s and %s failed: %s", done.job.i.name, done.job.j.name, done.error
+                "alignment failed i=%s j=%s reason=%s", done.job.i.name, done.job.j.name, done.error
             )
         pipeline.take_result(self.site, done, time.monotonic())
         i, j = done.job.i.name, done.job.j.name
@@ -201,7 +205,7 @@ class Service:
             message = publish.alignment(i, j, done.result, self._stamp(), n)
             self._put(self.keys.alignment(i.robot, j.robot), message)
             log.info(
-                "aligned %s %s %s start=%s inliers=%d %s",
+                "aligned i=%s j=%s verdict=%s start=%s inliers=%d reasons=%s",
                 i,
                 j,
                 done.result.verdict,
@@ -222,11 +226,20 @@ class Service:
             self.site.say(f"the journal cannot be written: {error}")
             return
         for outcome in outcomes:
-            log.info("update %s/%d %s", update.operator, outcome.n, outcome.reason or "accepted")
+            log.info("update operator=%s n=%d %s", update.operator, outcome.n, _said(outcome))
         self._unclicked |= any(outcome.action != "add" for outcome in outcomes)
         self._unanswered[update.operator, update.session] = update
         self._untold.update((ordered_pair(update.i, update.j), *(done.pair for done in outcomes)))
         self._ask_for_images(outcomes)
+
+    def _unusable(self, number: UpdateNumber, reason: str) -> None:
+        """Tells an operator that an update is none; it would be repeated for ever."""
+        try:
+            self.site.book.refuse(number, reason)
+        except JournalError as error:
+            log.error("refusal of %s/%d not recorded: %s", number.operator, number.n, error)
+            return
+        self._unanswered[number.operator, number.session] = number
 
     def _answer_operators(self) -> None:
         """Receipts are cumulative and sets whole: one of each does for all updates of a turn."""
@@ -362,33 +375,13 @@ class Service:
         except TimeoutError:
             return Answer(error="the server is busy: ask again")
 
-    def _relative(self, parameters: dict[str, str]) -> Answer:
-        """Answers `server/relative?from=a;to=b`."""
-        a, b = parameters.get("from"), parameters.get("to")
-        if not a or not b:
-            return Answer(error="ask as server/relative?from=r1;to=r2")
-        found = publish.relative_pose(self.site, a, b, time.monotonic())
-        if isinstance(found, str):
-            return Answer(error=found)
-        return Answer(pack(found), encoding_of(type(found)))
-
-    def _journalled_view(self, parameters: dict[str, str]) -> Answer:
-        """Answers `server/view?robot=r;epoch=e;seq=n` from the journal; in a thread of its own."""
-        try:
-            name = ViewName.model_validate({**parameters, "seq": int(parameters.get("seq", ""))})
-            stored = self.journal.view(name)
-        except (ValueError, JournalError) as error:
-            reason = error if isinstance(error, JournalError) else "give robot, epoch and seq"
-            return Answer(error=f"ask as server/view?robot=r1;epoch=0123456789ab;seq=7: {reason}")
-        if stored is None:
-            return Answer(error=f"view {name} is not in the journal: nobody clicked in it")
-        view = unpack(View, stored.encoded)
-        kept = KeptView(view=view, jpeg=stored.jpeg, image=stored.header)
-        return Answer(pack(kept), encoding_of(KeptView))
-
     def _count_up(self, what: str) -> int:
         self._numbers[what] = self._numbers.get(what, 0) + 1
         return self._numbers[what]
 
     def _stamp(self) -> Stamp:
         return Stamp(self.epoch, time.monotonic(), time.time_ns())
+
+
+def _said(outcome: Outcome) -> str:
+    return "accepted" if outcome.accepted else f"rejected reason={outcome.reason}"

@@ -311,13 +311,13 @@ def _detached(sample: zenoh.Sample) -> Sample:
     )
 
 
-def run_router(endpoint: str, stop: threading.Event) -> None:
-    """Runs a router until the event is set.
+def run_router(settings: SessionSettings, stop: threading.Event) -> None:
+    """Runs a router until the event is set; the settings make the session one.
 
     Raises:
-        UnreachableError: the endpoint is taken.
+        UnreachableError: an endpoint is taken.
     """
-    session = open_session(SessionSettings(listen=(endpoint,)))
+    session = open_session(settings)
     try:
         while not stop.wait(0.5):
             pass

@@ -11,9 +11,9 @@ from typing import Annotated, Any
 import typer
 
 from protocol.errors import FleetPoseError
+from protocol.logs import log_to_stderr
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
-LOG_FORMAT = "%(asctime)s %(levelname)s %(name)s %(message)s"
 
 Calibration = Annotated[
     Path | None,
@@ -107,7 +107,7 @@ def run(
 
     from robot_agent import agent
 
-    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format=LOG_FORMAT)
+    log_to_stderr()
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
@@ -147,7 +147,7 @@ def calibrate_check(
     from robot_agent.cameras.video import video_settings
     from robot_agent.checking.command import CheckOptions, run
 
-    logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format=LOG_FORMAT)
+    log_to_stderr(logging.WARNING)
     video = video_settings(size, fps, fourcc, 10.0 if max_skew_ms is None else max_skew_ms)
     options = CheckOptions(
         data, calibration, video, pairs, interval, length, board, points, save, as_json

@@ -1,7 +1,6 @@
 """Running the text client: on a terminal, or without one for a picture of it."""
 
 import asyncio
-import logging
 import os
 import sys
 import time
@@ -13,6 +12,7 @@ from hmi_client.connection import Connection
 from hmi_client.errors import OperatorError
 from hmi_client.session import OperatorSession
 from hmi_client.text.app import FleetApp
+from protocol.logs import log_to_file
 
 RETRY_TIMEOUT_S = 2.0  # per attempt to reach the router; the screen is there meanwhile
 
@@ -20,7 +20,7 @@ RETRY_TIMEOUT_S = 2.0  # per attempt to reach the router; the screen is there me
 def run_screen(where: Connection, fps: float, threshold_m: float, log: Path | None) -> None:
     """Runs the app until the operator quits; it also starts without a router and waits for one."""
     log = log or default_log()
-    log_to_file(log)
+    own_log(log)
     session = OperatorSession(where.operator, threshold_m=threshold_m)
     client = where.client(session, RETRY_TIMEOUT_S)
     client.start_in_background()
@@ -98,19 +98,16 @@ def default_log() -> Path:
     return Path(state) / "fleetpose" / "hmi-client.log"
 
 
-def log_to_file(path: Path) -> None:
+def own_log(path: Path) -> None:
     """Sends all logging to a file: anything on stderr would be drawn over the screen.
 
     Raises:
         OperatorError: the file cannot be written.
     """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handler = logging.FileHandler(path)
+        log_to_file(path)
     except OSError as error:
         raise OperatorError(f"log file {path} cannot be written: {error.strerror}") from error
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from pose_server.correspondences.records import (
     JournalError,
     Kept,
     Lift,
+    Numbered,
     Pair,
     Progress,
     Recorder,
@@ -128,6 +129,22 @@ class Book:
             outcomes.append(_outcome(following, change))
         return outcomes
 
+    def refuse(self, update: Numbered, reason: str) -> bool:
+        """Finally rejects an update that can never take effect, if it is the next of its session;
+        whether it was. One that comes early is repeated by its operator.
+
+        Raises:
+            JournalError: it could not be recorded; nothing changed.
+        """
+        session = (update.operator, update.session)
+        progress = self._sessions.get(session, Progress())
+        if update.n != progress.n + 1:
+            return False
+        change = Change(session, update.n, f"this is no update: {reason}"[:2000], ("", ""))
+        self._recorder.record(change)
+        self._sessions[session] = progress.after(change)
+        return True
+
     def of(self, a: str, b: str) -> list[Kept]:
         """The correspondences of a pair, oldest first."""
         return list(self._sets.get(ordered_pair(a, b), {}).values())
@@ -159,7 +176,7 @@ class Book:
             server_epoch=server_epoch,
         )
 
-    def receipts(self, update: OperatorUpdate, server_epoch: str) -> Receipts:
+    def receipts(self, update: Numbered, server_epoch: str) -> Receipts:
         """How far the session of an update has come, as it is published."""
         progress = self._sessions.get((update.operator, update.session), Progress())
         return Receipts(

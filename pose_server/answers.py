@@ -1,0 +1,37 @@
+"""What the server answers when it is asked: relative poses, and views that were clicked in."""
+
+import time
+
+from pose_server import publish
+from pose_server.correspondences.journal import Journal
+from pose_server.correspondences.records import JournalError
+from pose_server.site import Site
+from protocol.codec import encoding_of, pack, unpack
+from protocol.messages import KeptView, View, ViewName
+from protocol.transport import Answer
+
+
+def relative(site: Site, asked: dict[str, str]) -> Answer:
+    """Answers `server/relative?from=a;to=b`; in the server's own thread."""
+    a, b = asked.get("from"), asked.get("to")
+    if not a or not b:
+        return Answer(error="ask as server/relative?from=r1;to=r2")
+    found = publish.relative_pose(site, a, b, time.monotonic())
+    if isinstance(found, str):
+        return Answer(error=found)
+    return Answer(pack(found), encoding_of(type(found)))
+
+
+def journalled_view(journal: Journal, asked: dict[str, str]) -> Answer:
+    """Answers `server/view?robot=r;epoch=e;seq=n` from the journal; in a thread of its own."""
+    try:
+        name = ViewName.model_validate({**asked, "seq": int(asked.get("seq", ""))})
+        stored = journal.view(name)
+    except (ValueError, JournalError) as error:
+        reason = error if isinstance(error, JournalError) else "give robot, epoch and seq"
+        return Answer(error=f"ask as server/view?robot=r1;epoch=0123456789ab;seq=7: {reason}")
+    if stored is None:
+        return Answer(error=f"view {name} is not in the journal: nobody clicked in it")
+    view = unpack(View, stored.encoded)
+    kept = KeptView(view=view, jpeg=stored.jpeg, image=stored.header)
+    return Answer(pack(kept), encoding_of(KeptView))
