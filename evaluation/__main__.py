@@ -105,6 +105,19 @@ def fuzz(
 
 
 @app.command()
+def wire(
+    data: Data,
+    out: Out,
+    clouds: Clouds = None,
+    views: Annotated[int, typer.Option(min=1, help="So many, spread evenly.")] = 10,
+) -> None:
+    """Measure the cloud codecs beside PNG, Draco and raw numbers."""
+    from evaluation.wire import run
+
+    run(data, clouds.value if clouds else None, out, views)
+
+
+@app.command()
 def demo(
     robots: Annotated[int, typer.Option(min=2, help="How many.")] = 6,
     seconds: Annotated[float, typer.Option(help="At most, without a screen.")] = 90,

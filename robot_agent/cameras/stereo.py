@@ -13,10 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from protocol.errors import CalibrationError, DataFolderError
-from protocol.messages import Camera as CameraModel
 from protocol.messages import NoiseModel
 from robot_agent.cameras.base import DisparityImage, Frame
-from robot_agent.cameras.files import read_colour
+from robot_agent.cameras.files import model_of, read_colour
 from robot_agent.cameras.replay import replay_order
 from robot_agent.cameras.rig import Floats, StereoRig, read_rig
 
@@ -51,6 +50,8 @@ class StereoMatcher:
         self.rig = rig
         self._rectifier = _Rectifier(rig)
         K, baseline_m = self._rectifier.K, self._rectifier.baseline_m
+        if not (np.isfinite(K).all() and 1 < K[0, 0] < 200 * rig.size[0]):
+            raise CalibrationError("rectified, no camera is left: check D_left, D_right and R")
         nearest_m = nearest_m or NEAREST_BASELINES * baseline_m
         largest = K[0, 0] * baseline_m / nearest_m
         if largest > rig.size[0] // 2:
@@ -59,7 +60,8 @@ class StereoMatcher:
                 f"{rig.size[0]} px: check the baseline ({baseline_m:g} m), or see less near"
             )
         self._full, self._half = _Sgbm(largest + 1), _Sgbm(largest / 2 + 1)
-        self.model = CameraModel(
+        self.model = model_of(
+            "the stereo calibration",
             width=rig.size[0],
             height=rig.size[1],
             K=K,
