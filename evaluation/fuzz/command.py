@@ -134,10 +134,10 @@ def _fuzz(fleet: LocalFleet, scratch: Path, messages: int, chance: random.Random
         targets = targets_of(keys, list(plan.names), ear.heard())
         journal = scratch / "state" / "journal.sqlite3"
         before = fingerprint(told, observer, journal)
-        counts, replaced = Counts(fleet, observer, plan), 0
+        counts = Counts(fleet, observer, plan)
         replaced = counts.replaced()
         began_s = time.monotonic()
-        sent = _fire(fleet, link, keys, plan, targets, counts, messages, chance)
+        sent = _fire(fleet, link, keys, targets, counts, messages, chance)
         seconds = time.monotonic() - began_s
         states = observer.states_heard
         wait_until(lambda: observer.states_heard > states + 4, COUNTED_WITHIN_S)
@@ -203,7 +203,7 @@ def _settled(
     robots: tuple[str, str],
 ) -> Told:
     """Waits until every key has been heard and nothing but time passes."""
-    needed = {keys.state, keys.status, *(keys.image(robot) for robot in robots)}
+    needed = {keys.state, keys.status}
     needed |= {k(f"r{n + 1}") for n in range(ROBOTS) for k in (keys.cloud, keys.pose, keys.camera)}
     needed |= {keys.image(robot) for robot in robots}
     journal = scratch / "state" / "journal.sqlite3"
@@ -229,7 +229,6 @@ def _fire(
     fleet: LocalFleet,
     link: Link,
     keys: Keys,
-    plan: FleetPlan,
     targets: list[Target],
     counts: Counts,
     messages: int,
@@ -255,21 +254,10 @@ def _fire(
                 if sample.key.endswith("/cloud"):
                     used.add(sample.key)
                 _put(link, sample)
-                sent.note(kind, _readers(target, plan, sample))
+                sent.note(kind, target.readers)
             _wait_counted(fleet, sent, counts)
             progress.update(task, completed=sent.messages)
     return sent
-
-
-def _readers(target: Target, plan: FleetPlan, sample: Sample) -> tuple[str, ...]:
-    if "/pose/" in sample.key:
-        return ("client", *plan.names)
-    return (
-        ("server",)
-        if "/cloud" in sample.key
-        or ("/operator/" in target.good.key and (not target.good.key.endswith("/receipts")))
-        else ("client",)
-    )
 
 
 def _put(link: Link, sample: Sample) -> None:

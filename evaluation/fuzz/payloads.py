@@ -124,7 +124,7 @@ def not_finite(chance: random.Random, good: Sample) -> Sample:
 def odd_array(chance: random.Random, good: Sample) -> Sample:
     """An array of a forbidden dtype, an impossible shape, or another size than it says."""
     headers = (["|O", [1]], ["<f8", [2**31, 2**31]], ["<f8", [-1]], ["<f8", [3] * 40], [], 7, "x")
-    header = msgpack.packb(chance.choice(headers))
+    header: bytes = msgpack.packb(chance.choice(headers)) or b""
     array = msgpack.ExtType(1, header + chance.randbytes(8 * chance.randrange(4)))
     content = _content(good.payload)
     content[chance.choice(list(content))] = array

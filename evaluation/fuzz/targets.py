@@ -4,7 +4,7 @@ says.
 
 import random
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from evaluation.fuzz.payloads import IMAGE_KINDS, MESSAGE_KINDS, VIEW_KINDS, Maker
@@ -25,6 +25,7 @@ from protocol.transport import Sample
 
 OPERATOR = "op-fuzz"
 STRANGERS = 256
+SERVER, CLIENT = ("server",), ("client",)
 MAX_TRIES = 60
 _OTHERS_KEY = "another's key"
 
@@ -34,7 +35,7 @@ class Target:
     """One key.
 
     Attributes:
-        readers: how many processes read it.
+        readers: the processes that read it: `server`, `client`, or a robot's name.
         good: samples that a reader would take.
         kinds: how to make bad ones, with their shares.
         check: the reader's decoder: raises a FleetPoseError for what it refuses.
@@ -42,7 +43,7 @@ class Target:
         share: of all messages.
     """
 
-    readers: int
+    readers: tuple[str, ...]
     good: Sample
     kinds: Mapping[str, tuple[Maker, int]]
     check: Callable[[Sample], object]
@@ -90,14 +91,14 @@ def targets_of(keys: Keys, robots: list[str], heard: Mapping[str, Sample]) -> li
     cloud = heard[keys.cloud(robots[0])]
     clouds = [keys.cloud(f"stranger-{number}") for number in range(STRANGERS)]
     found = [
-        Target(1, replace(cloud, key=key), VIEW_KINDS, server.cloud, (clouds[n - 1],), 2)
+        Target(SERVER, replace(cloud, key=key), VIEW_KINDS, server.cloud, (clouds[n - 1],), 2)
         for n, key in enumerate(clouds)
     ]
-    found += [Target(1, heard[keys.cloud(r)], VIEW_KINDS, server.cloud, (), 2) for r in robots]
+    found += [Target(SERVER, heard[keys.cloud(r)], VIEW_KINDS, server.cloud, (), 2) for r in robots]
     for key, message in _said_by_operators(keys, robots):
         elsewhere = (keys.updates("op-other"), keys.selection("op-other"))
         good = Sample(key, pack(message), encoding_of(type(message)))
-        found.append(Target(1, good, MESSAGE_KINDS, server.operator, elsewhere, 300))
+        found.append(Target(SERVER, good, MESSAGE_KINDS, server.operator, elsewhere, 300))
     found += _told_to_the_client(keys, robots, heard)
     return found
 
@@ -110,8 +111,8 @@ def _told_to_the_client(
     def check(sample: Sample) -> object:
         return opened(keys, sample)
 
-    def told(good: Sample, *strangers: str, readers: int = 1, share: int = 100) -> Target:
-        return Target(readers, good, MESSAGE_KINDS, check, strangers, share)
+    def told(good: Sample, *strangers: str, robots: Sequence[str] = (), share: int = 100) -> Target:
+        return Target((*CLIENT, *robots), good, MESSAGE_KINDS, check, strangers, share)
 
     a, b, *_ = robots
     yield told(heard[keys.state], keys.status)
@@ -120,7 +121,7 @@ def _told_to_the_client(
         yield told(
             heard[keys.pose(robot)],
             *(keys.pose(other) for other in ("stranger", *robots) if other != robot),
-            readers=1 + len(robots),
+            robots=robots,
             share=60,
         )
         yield told(heard[keys.camera(robot)], keys.camera("stranger"), share=60)
@@ -142,7 +143,7 @@ def _told_to_the_client(
         ) -> object:
             return picture_in(sample, robot, announced, time.monotonic())
 
-        yield Target(1, image, IMAGE_KINDS, picture, (), 100)
+        yield Target(CLIENT, image, IMAGE_KINDS, picture, (), 100)
 
 
 class _Server:
