@@ -125,6 +125,31 @@ def stereo(out: Out) -> None:
 
 
 @app.command()
+def fuzz(
+    out: Out,
+    messages: Annotated[int, typer.Option(min=1, help="How many malformed messages.")] = 20_000,
+    seed: Annotated[int, typer.Option(help="Which.")] = 0,
+) -> None:
+    """Send malformed, truncated, oversize and bomb payloads to every subscribed key of a fleet."""
+    from evaluation.fuzz.command import passed, run
+
+    raise typer.Exit(0 if passed(run(messages, out, seed)) else 1)
+
+
+@app.command()
+def wire(
+    data: Data,
+    out: Out,
+    clouds: Clouds = None,
+    views: Annotated[int, typer.Option(min=1, help="So many, spread evenly.")] = 10,
+) -> None:
+    """Measure the cloud codecs beside PNG, Draco and raw numbers."""
+    from evaluation.wire import run
+
+    run(data, clouds.value if clouds else None, out, views)
+
+
+@app.command()
 def demo(
     robots: Annotated[int, typer.Option(min=2, help="How many.")] = 6,
     seconds: Annotated[float, typer.Option(help="At most, without a screen.")] = 90,

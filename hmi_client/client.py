@@ -10,20 +10,18 @@ import time
 from collections.abc import Callable
 from typing import TypeVar
 
-from hmi_client.arrivals import Arrived, opened
+from hmi_client.arrivals import Arrived, checked_picture, opened, picture_in
 from hmi_client.errors import PictureError
-from hmi_client.jpeg import check_size, frame_of
 from hmi_client.model import Pair, Picture
 from hmi_client.sender import Sender
 from hmi_client.session import OperatorSession
-from protocol.base import MAX_MESSAGE_BYTES, Message
+from protocol.base import Message
 from protocol.codec import unpack
 from protocol.drops import Drops
 from protocol.errors import CodecError, FleetPoseError, UnreachableError
 from protocol.keys import Keys
 from protocol.messages import (
     Alignment,
-    Camera,
     CameraAnnouncement,
     FleetState,
     ImageHeader,
@@ -34,7 +32,7 @@ from protocol.messages import (
     ServerStatus,
     ViewName,
 )
-from protocol.transport import ENCODING_JPEG, Link, Sample, Slots
+from protocol.transport import Link, Sample, Slots
 
 log = logging.getLogger(__name__)
 PATIENCE_S = 0.6  # without a live picture for this long, the robot is asked for its newest view
@@ -212,27 +210,7 @@ class Client:
             raise
 
     def _picture(self, robot: str, sample: Sample) -> Picture:
-        if sample.encoding != ENCODING_JPEG or sample.attachment is None:
-            raise PictureError(f"no JPEG with its header, but '{sample.encoding[:80]}'")
-        header = unpack(ImageHeader, sample.attachment)
-        if header.view.robot != robot:
-            raise PictureError(f"an image of '{header.view.robot}' under the key of another robot")
-        announced = self._cameras.get(robot)
-        known = announced is not None and announced.epoch == header.view.epoch
-        camera = announced.camera if announced is not None and known else None
-        return self._checked(header, sample.payload, camera)
-
-    def _checked(self, header: ImageHeader, jpeg: bytes, camera: Camera | None) -> Picture:
-        """A picture whose size has been read and fits; nothing is decoded yet.
-
-        Raises:
-            PictureError: it is no JPEG, or not one of this camera.
-        """
-        if len(jpeg) > MAX_MESSAGE_BYTES:
-            raise PictureError(f"a JPEG of {len(jpeg)} bytes")
-        frame = frame_of(jpeg)
-        check_size(frame.width, frame.height, header.scale, camera)
-        return Picture(header.view, jpeg, header.scale, self.session.clock())
+        return picture_in(sample, robot, self._cameras.get(robot), self.session.clock())
 
     # ---- asking for views ------------------------------------------------------------------------
 
@@ -283,7 +261,7 @@ class Client:
         header = kept.image or ImageHeader(view=view, stamp_ns=kept.view.stamp_ns)
         if header.view != view:
             raise PictureError(f"view '{view}' came with the image of '{header.view}'")
-        return self._checked(header, kept.jpeg, kept.view.camera)
+        return checked_picture(header, kept.jpeg, kept.view.camera, self.session.clock())
 
     # ---- alignments ------------------------------------------------------------------------------
 

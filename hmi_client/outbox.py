@@ -4,9 +4,6 @@ from dataclasses import dataclass
 from itertools import takewhile
 from typing import Any, Literal
 
-from pydantic import ValidationError
-
-from hmi_client.errors import OperatorError
 from hmi_client.model import Pair, Pick
 from protocol.keys import new_epoch
 from protocol.messages import OperatorUpdate, Receipts
@@ -66,26 +63,17 @@ class Outbox:
         return tuple(takewhile(lambda ticket: not ticket.held, self._open))
 
     def post(self, action: Action, pair: Pair, base_revision: int, **places: Any) -> Ticket:
-        """Makes the next update; `places` are the remaining fields of `OperatorUpdate`.
-
-        Raises:
-            OperatorError: no such update can be sent, e.g. with a pixel that is no number.
-        """
-        try:
-            update = OperatorUpdate(
-                operator=self.operator,
-                session=self.session,
-                n=self._last + 1,
-                action=action,
-                i=pair[0],
-                j=pair[1],
-                base_revision=base_revision,
-                **places,
-            )
-        except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(str(part) for part in first["loc"]) or action
-            raise OperatorError(f"this cannot be sent: {place}: {first['msg']}") from error
+        """Makes the next update; `places` are the remaining fields of `OperatorUpdate`."""
+        update = OperatorUpdate(
+            operator=self.operator,
+            session=self.session,
+            n=self._last + 1,
+            action=action,
+            i=pair[0],
+            j=pair[1],
+            base_revision=base_revision,
+            **places,
+        )
         self._last += 1
         ticket = Ticket(update)
         self._open.append(ticket)

@@ -67,6 +67,9 @@ def sentence(record: Record) -> str:
         error = "-" if r["rmse_m"] is None else length_text(r["rmse_m"])
         state = {"tried": r["verdict"] or "tried"}.get(r["state"], r["state"].replace("_", " "))
         return f"pair  {r['i']} - {r['j']}  {error}  {state}  {r['correspondences']} clicked"
+    if r["type"] == "drops":
+        reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(r["by_reason"].items()))
+        return f"drops {r['total']} in all: {reasons}"
     return f"{r['type']:<5} {r['text']}"
 
 
@@ -78,6 +81,7 @@ class Watcher:
         self._told: dict[tuple[str, ...], Record] = {}
         self._events_told = 0
         self._silent = False
+        self._dropped = 0
 
     def news(self) -> list[Record]:
         """Records that are new or differ from what was told."""
@@ -92,12 +96,20 @@ class Watcher:
             if self._told.get(name) != record:
                 self._told[name] = record
                 news.append(record)
-        return news + self._events() + self._silence()
+        return news + self._events() + self._silence() + self._drops()
 
     def _events(self) -> list[Record]:
         events, told = self._session.events_since(self._events_told)
         self._events_told = told
         return [{"type": "event", "text": text} for text in events]
+
+    def _drops(self) -> list[Record]:
+        counts = self._session.drops.snapshot()
+        total = sum(counts.values())
+        if total == self._dropped:
+            return []
+        self._dropped = total
+        return [{"type": "drops", "total": total, "by_reason": counts}]
 
     def _silence(self) -> list[Record]:
         silent = self._session.silent

@@ -7,15 +7,13 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 from queue import SimpleQueue
-from typing import Annotated, TypeVar
-
-from pydantic import BaseModel, Field, ValidationError
+from typing import TypeVar
 
 from protocol.base import Message
-from protocol.codec import content_of, unpack
+from protocol.codec import unpack
 from protocol.drops import Drops
 from protocol.errors import CodecError, FleetPoseError
-from protocol.fields import EPOCH_PATTERN, Epoch, Name
+from protocol.fields import EPOCH_PATTERN
 from protocol.keys import Keys
 from protocol.messages import OperatorUpdate, Selection
 from protocol.transport import Answer, Link, Sample
@@ -35,22 +33,6 @@ class Updated:
     """An operator changed correspondences."""
 
     update: OperatorUpdate
-
-
-class UpdateNumber(BaseModel, frozen=True, extra="ignore"):
-    """Whose update something is and which, be the rest of it whatever it may."""
-
-    operator: Name
-    session: Epoch
-    n: Annotated[int, Field(ge=1, lt=2**63)]
-
-
-@dataclass(frozen=True)
-class Unusable:
-    """An update that says whose it is, but can never take effect: its operator must hear that."""
-
-    number: UpdateNumber
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -101,35 +83,23 @@ class Inbox:
             self._store.put(Wake())
 
     def _update(self, sample: Sample) -> None:
-        if (reason := self._read(sample, OperatorUpdate, Updated)) is None:
-            return
-        try:
-            content = content_of(OperatorUpdate, sample.payload, sample.encoding)
-            number = UpdateNumber.model_validate(content)
-        except (CodecError, ValidationError):
-            return  # nobody could be told
-        if self._keys.chunks(sample.key)[1] == number.operator and self._has_room():
-            self._store.put(Unusable(number, reason))
+        self._read(sample, OperatorUpdate, Updated)
 
     def _selection(self, sample: Sample) -> None:
         self._read(sample, Selection, Selected)
 
-    def _has_room(self) -> bool:
-        return self._store.qsize() < MAX_WAITING
-
-    def _read(self, sample: Sample, kind: type[M], event: Callable[[M], object]) -> str | None:
-        """Stores what a message of an operator is, or counts and returns why it is none."""
+    def _read(self, sample: Sample, kind: type[M], event: Callable[[M], object]) -> None:
+        """Stores what a message of an operator is, or counts why it is none."""
         try:
             message = unpack(kind, sample.payload, sample.encoding)
             if self._keys.chunks(sample.key)[1] != getattr(message, "operator", None):
                 raise CodecError("message under another operator's key")
-            if not self._has_room():
+            if self._store.qsize() >= MAX_WAITING:
                 raise CodecError("more messages than the server can read")
         except FleetPoseError as error:
             self._drops.note(sample.key, error)
-            return str(error)
+            return
         self._store.put(event(message))
-        return None
 
     def _token(self, key: str, alive: bool) -> None:
         try:

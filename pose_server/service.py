@@ -15,9 +15,9 @@ from pose_server import answers, pipeline, publish
 from pose_server.awaiting import Awaiting
 from pose_server.correspondences.book import Outcome
 from pose_server.correspondences.journal import Journal, StoredView
-from pose_server.correspondences.records import JournalError, Numbered, Session
+from pose_server.correspondences.records import JournalError, Session
 from pose_server.fetching import Fetched, FetchedNewest, Fetcher
-from pose_server.inbox import Asked, Inbox, Selected, TokenSeen, Unusable, Updated, UpdateNumber
+from pose_server.inbox import Asked, Inbox, Selected, TokenSeen, Updated
 from pose_server.pairs.engine import Done, Engine
 from pose_server.publish import Stamp
 from pose_server.publishers import Publishers
@@ -66,7 +66,7 @@ class Service:
         self._saw_newest: dict[str, object] = {}
         self._noted_anchor = site.anchor
         self._unclicked = False
-        self._unanswered: dict[Session, Numbered] = {}
+        self._unanswered: dict[Session, OperatorUpdate] = {}
         self._untold: set[tuple[str, str]] = set()
         self._imaged: set[ViewName] = set()
 
@@ -128,8 +128,6 @@ class Service:
                 self._finished(event)
             case Updated():
                 self._updated(event.update)
-            case Unusable():
-                self._unusable(event.number, event.reason)
             case Selected():
                 now_s = time.monotonic()
                 for view in pipeline.receive_selection(self.site, event.selection, now_s):
@@ -231,15 +229,6 @@ class Service:
         self._unanswered[update.operator, update.session] = update
         self._untold.update((ordered_pair(update.i, update.j), *(done.pair for done in outcomes)))
         self._ask_for_images(outcomes)
-
-    def _unusable(self, number: UpdateNumber, reason: str) -> None:
-        """Tells an operator that an update is none; it would be repeated for ever."""
-        try:
-            self.site.book.refuse(number, reason)
-        except JournalError as error:
-            log.error("refusal of %s/%d not recorded: %s", number.operator, number.n, error)
-            return
-        self._unanswered[number.operator, number.session] = number
 
     def _answer_operators(self) -> None:
         """Receipts are cumulative and sets whole: one of each does for all updates of a turn."""

@@ -67,6 +67,7 @@ if TYPE_CHECKING:  # to a type checker they are plain arrays
     Matrix3: TypeAlias = npt.NDArray[Any]
     Matrix6: TypeAlias = npt.NDArray[Any]
     Pixel: TypeAlias = npt.NDArray[Any]
+    ClickedPixel: TypeAlias = npt.NDArray[Any]
 else:
     Pose = Annotated[
         np.ndarray, BeforeValidator(_check_rigid), PlainSerializer(lambda a: a, return_type=Any)
@@ -78,3 +79,5 @@ else:
         np.ndarray, BeforeValidator(_check_square), PlainSerializer(lambda a: a, return_type=Any)
     ]
     Pixel = array_type("f8", 2)
+    ClickedPixel = array_type("f8", 2, finite=False)
+    """As an operator's client sends it: one that is no number is rejected with a receipt."""

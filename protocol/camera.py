@@ -63,7 +63,7 @@ class Camera(Message, frozen=True, schema="fleet.camera.v1"):
         f, c = K[[0, 1], [0, 1]], K[:2, 2]
         if not (f > 0.05 * size.max()).all() or not (f < 200 * size.max()).all():
             raise ValueError(f"focal lengths {f} px are of no camera of {size} px")
-        if (c < -size).any() or (c > 2 * size).any() or abs(K[0, 1]) > f[0]:
+        if (np.abs(c) > 10 * size).any() or abs(K[0, 1]) > f[0]:
             raise ValueError(f"centre {c} or skew {K[0, 1]:g} px are of no camera of {size} px")
         return self
 

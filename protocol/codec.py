@@ -51,23 +51,6 @@ def unpack(message_type: type[M], payload: bytes, encoding: str | None = None) -
     Raises:
         CodecError: the bytes are no such message, for whatever reason.
     """
-    content = content_of(message_type, payload, encoding)
-    try:
-        return message_type.model_validate(content)
-    except ValidationError as error:
-        raise CodecError(f"{message_type.__name__}.{_first_fault(error)}") from error
-    except (ValueError, TypeError, OverflowError, RecursionError, MemoryError) as error:
-        raise CodecError(f"{message_type.__name__}: {str(error)[:120]}") from error
-
-
-def content_of(
-    message_type: type[Message], payload: bytes, encoding: str | None = None
-) -> dict[str, Any]:
-    """The fields of what claims to be a message, unchecked; for arguments see `unpack`.
-
-    Raises:
-        CodecError: the bytes are no map of fields.
-    """
     if encoding is not None and encoding not in _readable(message_type):
         raise CodecError(f"encoding '{encoding[:80]}', expected '{encoding_of(message_type)}'")
     if len(payload) > message_type.at_most:
@@ -80,7 +63,12 @@ def content_of(
         raise CodecError(f"not msgpack: {type(error).__name__}") from error
     if not isinstance(content, dict):
         raise CodecError(f"a map was expected, not {type(content).__name__}")
-    return content
+    try:
+        return message_type.model_validate(content)
+    except ValidationError as error:
+        raise CodecError(f"{message_type.__name__}.{_first_fault(error)}") from error
+    except (ValueError, TypeError, OverflowError, RecursionError, MemoryError) as error:
+        raise CodecError(f"{message_type.__name__}: {str(error)[:120]}") from error
 
 
 def _unpacked(payload: bytes) -> Any:

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from protocol.arrays import Matrix6, Pixel, Pose, Vector3
+from protocol.arrays import ClickedPixel, Matrix6, Pixel, Pose, Vector3
 from protocol.base import MAX_MESSAGE_BYTES, Message
 from protocol.camera import ROBOT_FROM_CAMERA as ROBOT_FROM_CAMERA
 from protocol.camera import Camera
@@ -229,8 +229,8 @@ class OperatorUpdate(Message, frozen=True, schema="fleet.operator_update.v1"):
     correspondence: Count | None = Field(default=None, description="id, for move and erase")
     view_i: ViewName | None = None
     view_j: ViewName | None = None
-    pixel_i: Pixel | None = None
-    pixel_j: Pixel | None = None
+    pixel_i: ClickedPixel | None = None
+    pixel_j: ClickedPixel | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> "OperatorUpdate":

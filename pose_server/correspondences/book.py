@@ -17,7 +17,6 @@ from pose_server.correspondences.records import (
     JournalError,
     Kept,
     Lift,
-    Numbered,
     Pair,
     Progress,
     Recorder,
@@ -129,22 +128,6 @@ class Book:
             outcomes.append(_outcome(following, change))
         return outcomes
 
-    def refuse(self, update: Numbered, reason: str) -> bool:
-        """Finally rejects an update that can never take effect, if it is the next of its session;
-        whether it was. One that comes early is repeated by its operator.
-
-        Raises:
-            JournalError: it could not be recorded; nothing changed.
-        """
-        session = (update.operator, update.session)
-        progress = self._sessions.get(session, Progress())
-        if update.n != progress.n + 1:
-            return False
-        change = Change(session, update.n, f"this is no update: {reason}"[:2000], ("", ""))
-        self._recorder.record(change)
-        self._sessions[session] = progress.after(change)
-        return True
-
     def of(self, a: str, b: str) -> list[Kept]:
         """The correspondences of a pair, oldest first."""
         return list(self._sets.get(ordered_pair(a, b), {}).values())
@@ -176,7 +159,7 @@ class Book:
             server_epoch=server_epoch,
         )
 
-    def receipts(self, update: Numbered, server_epoch: str) -> Receipts:
+    def receipts(self, update: OperatorUpdate, server_epoch: str) -> Receipts:
         """How far the session of an update has come, as it is published."""
         progress = self._sessions.get((update.operator, update.session), Progress())
         return Receipts(
@@ -356,6 +339,9 @@ def _places(update: OperatorUpdate) -> tuple[ViewName, ViewName, Floats, Floats]
         raise _RejectedError(
             f"views {view_i} and {view_j} are not of the robots {update.i} and {update.j}"
         )
+    for robot, pixel in ((update.i, pixel_i), (update.j, pixel_j)):
+        if not np.isfinite(pixel).all():
+            raise _RejectedError(f"{robot}: pixel ({pixel[0]}, {pixel[1]}) is no place in an image")
     return view_i, view_j, pixel_i, pixel_j
 
 

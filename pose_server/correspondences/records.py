@@ -19,25 +19,6 @@ MAX_REJECTIONS = 100
 """So many rejections of a session are remembered, the newest."""
 
 
-class Numbered(Protocol):
-    """An update, or at least whose it is and which."""
-
-    @property
-    def operator(self) -> str:
-        """The operator's name."""
-        ...
-
-    @property
-    def session(self) -> str:
-        """One life of the operator's client."""
-        ...
-
-    @property
-    def n(self) -> int:
-        """1, 2, 3, ... within the session."""
-        ...
-
-
 class JournalError(FleetPoseError):
     """The journal cannot be opened, read or written; nothing of what was attempted has happened."""
 

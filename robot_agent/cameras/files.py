@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pydantic import ValidationError
 
 from protocol.errors import CalibrationError, DataFolderError
-from protocol.messages import NoiseModel
+from protocol.messages import Camera, NoiseModel
 
 
 def read_colour(path: Path) -> npt.NDArray[np.uint8]:
@@ -48,8 +48,28 @@ def read_json(path: Path) -> Any:
     """
     try:
         return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DataFolderError(f"{path} cannot be read as JSON: {error}") from error
+
+
+def model_of(where: str, **fields: Any) -> Camera:
+    """A camera's model as it goes on the wire.
+
+    Args:
+        where: what its calibration was read from.
+        fields: of `protocol.messages.Camera`.
+
+    Raises:
+        CalibrationError: no such camera can be; the sentence says what to fix.
+    """
+    try:
+        return Camera(**fields)
+    except ValidationError as error:
+        said = error.errors()[0]["msg"].removeprefix("Value error, ")
+        raise CalibrationError(
+            f"{where}: {said}; K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels of the "
+            f"{fields.get('width')}x{fields.get('height')} image"
+        ) from error
 
 
 def noise_of(content: Any, path: Path) -> NoiseModel:

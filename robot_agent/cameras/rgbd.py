@@ -16,13 +16,12 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import ValidationError
 
 from protocol.errors import CalibrationError, DataFolderError
 from protocol.messages import ROBOT_FROM_CAMERA, NoiseModel
 from protocol.messages import Camera as CameraModel
 from robot_agent.cameras.base import DepthImage, Frame
-from robot_agent.cameras.files import noise_of, read_colour, read_depth, read_json
+from robot_agent.cameras.files import model_of, noise_of, read_colour, read_depth, read_json
 from robot_agent.cameras.replay import replay_order
 
 log = logging.getLogger(__name__)
@@ -81,17 +80,15 @@ class RgbdRecording:
         return Frame(stamp_ns, image, DepthImage(depth), self._model(*depth.shape))
 
     def _model(self, height: int, width: int) -> CameraModel:
-        try:
-            return CameraModel(
-                width=width,
-                height=height,
-                K=self._K,
-                T_robot_camera=ROBOT_FROM_CAMERA,
-                noise=self._noise,
-                kind="rgbd",
-            )
-        except ValidationError as error:
-            raise CalibrationError(f"camera intrinsics: {error.errors()[0]['msg']}") from error
+        return model_of(
+            f"the calibration of {self._shots[0].depth.parent}",
+            width=width,
+            height=height,
+            K=self._K,
+            T_robot_camera=ROBOT_FROM_CAMERA,
+            noise=self._noise,
+            kind="rgbd",
+        )
 
 
 def open_camera(source: str, replay: str) -> RgbdRecording:
@@ -169,7 +166,7 @@ def _intrinsics_file(folder: Path) -> npt.NDArray[np.float64] | None:
         return None
     try:
         K = np.loadtxt(path)
-    except ValueError as error:
+    except (OSError, ValueError) as error:
         raise CalibrationError(f"{path} is no 3x3 matrix of numbers: {error}") from error
     if K.shape != (3, 3):
         raise CalibrationError(f"{path} holds numbers of shape {K.shape}, need 3x3")

@@ -131,7 +131,7 @@ def rig_of(
         )
     except CalibrationError as error:
         raise CalibrationError(f"{where}: {error}") from error
-    except (TypeError, ValueError, KeyError) as error:
+    except (TypeError, ValueError, KeyError, OverflowError, cv2.error) as error:
         raise CalibrationError(f"{where}: a matrix has the wrong shape: {error}") from error
 
 
@@ -240,11 +240,18 @@ def _rotation(R: Floats) -> Floats:
 
 
 def _check_pinhole(name: str, K: Floats, size: tuple[int, int]) -> None:
+    largest = max(size)
+    if not 0 < largest <= 16384:
+        raise CalibrationError(f"images of {size[0]}x{size[1]} px: give width and height")
     inside = np.isfinite(K).all() and 0 < K[0, 2] < size[0] and 0 < K[1, 2] < size[1]
     if not inside or K[0, 0] <= 0 or K[1, 1] <= 0 or K[2].tolist() != [0, 0, 1] or K[1, 0] != 0:
         raise CalibrationError(
             f"{name} is no pinhole matrix of a {size[0]}x{size[1]} image: "
             "it needs [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels"
+        )
+    if not (0.05 * largest < min(K[0, 0], K[1, 1]) and max(K[0, 0], K[1, 1]) < 200 * largest):
+        raise CalibrationError(
+            f"{name} has focal lengths {K[0, 0]:g} and {K[1, 1]:g}: they must be in pixels"
         )
 
 

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from protocol.errors import CalibrationError
-from protocol.messages import Camera as CameraModel
 from protocol.messages import NoiseModel
 from robot_agent.cameras.base import DisparityImage, Frame
+from robot_agent.cameras.files import model_of
 from robot_agent.cameras.pairs import PairSource, open_pairs
 from robot_agent.cameras.rectify import Rectifier
 from robot_agent.cameras.rig import StereoRig, read_rig, read_rig_file
@@ -59,7 +59,8 @@ class StereoMatcher:
                 f"{rig.size[0]} px: check the baseline ({baseline_m:g} m), or see less near"
             )
         self._full, self._half = _Sgbm(largest + 1), _Sgbm(largest / 2 + 1)
-        self.model = CameraModel(
+        self.model = model_of(
+            "the stereo calibration",
             width=rig.size[0],
             height=rig.size[1],
             K=K,

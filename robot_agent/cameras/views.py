@@ -7,10 +7,12 @@ frame to frame.
 """
 
 import time
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -58,7 +60,7 @@ class ViewsFolder:
         stamp_ns = time.time_ns()
         image = read_colour(shot.image)
         arrays = _read_cloud(shot.cloud)
-        z = np.asarray(arrays["xyz_cam"], np.float64)[:, 2]
+        z = arrays["xyz_cam"][:, 2]
         model = self._model(shot, _noise_model(shot, self._noise, arrays, z, self._folder))
         if image.shape[:2] != (model.height, model.width):
             raise CalibrationError(
@@ -134,8 +136,9 @@ def _read_cloud(path: Path) -> dict[str, npt.NDArray[Any]]:
     """The arrays that are needed of a cloud, and no others."""
     try:
         with np.load(path, allow_pickle=False) as arrays:
-            cloud = {name: arrays[name] for name in ("xyz_cam", "sigma_z") if name in arrays}
-    except (OSError, ValueError) as error:
+            names = [name for name in ("xyz_cam", "sigma_z") if name in arrays]
+            cloud = {name: np.asarray(arrays[name], np.float64) for name in names}
+    except (OSError, ValueError, TypeError, EOFError, BadZipFile, zlib.error) as error:
         raise DataFolderError(f"{path} cannot be read as a cloud: {error}") from error
     if "xyz_cam" not in cloud or cloud["xyz_cam"].ndim != 2 or cloud["xyz_cam"].shape[1] != 3:
         raise DataFolderError(f"{path} needs an array xyz_cam of shape (N, 3)")
@@ -163,21 +166,28 @@ def _noise_model(
     if stated is not None:
         return noise_of(stated, folder / "cameras.json")
     if "sigma_z" in arrays and len(z):
+        if len(arrays["sigma_z"]) != len(z):
+            raise DataFolderError(f"{shot.cloud} needs one sigma_z per point")
         quadratic = float(np.median(arrays["sigma_z"] / z**2))
-        return NoiseModel(
-            pixel_sigma_px=MEASURED_PIXEL_SIGMA_PX, depth_sigma_m=(0.0, 0.0, quadratic)
-        )
+        stated = {"pixel_sigma_px": MEASURED_PIXEL_SIGMA_PX, "depth_sigma_m": (0, 0, quadratic)}
+        return noise_of(stated, shot.cloud)
     index_file = shot.cloud.parent / "index.json"
     index = read_json(index_file) if index_file.is_file() else {}
-    baseline_m = index.get(shot.entry["name"], {}).get("baseline_m")
+    entry = index.get(shot.entry["name"]) if isinstance(index, dict) else None
+    baseline_m = entry.get("baseline_m") if isinstance(entry, dict) else None
     if baseline_m:
         # both eyes are off by the pixel sigma, independently: their difference by sqrt(2) of it
-        return NoiseModel.stereo(
-            float(shot.entry["K"][0][0]),
-            float(baseline_m),
-            TRIANGULATED_PIXEL_SIGMA_PX * np.sqrt(2),
-            TRIANGULATED_PIXEL_SIGMA_PX,
-        )
+        disparity_sigma_px = TRIANGULATED_PIXEL_SIGMA_PX * np.sqrt(2)
+        try:
+            focal_px, baseline_m = float(shot.entry["K"][0][0]), float(baseline_m)
+            return NoiseModel.stereo(
+                focal_px, baseline_m, disparity_sigma_px, TRIANGULATED_PIXEL_SIGMA_PX
+            )
+        except (KeyError, IndexError, TypeError, ValueError, ZeroDivisionError) as error:
+            raise CalibrationError(
+                f"{shot.entry['name']} needs a focal length in pixels in cameras.json and a "
+                f"baseline_m in {index_file}"
+            ) from error
     return NoiseModel(
         pixel_sigma_px=MEASURED_PIXEL_SIGMA_PX, depth_sigma_m=(0.0, UNKNOWN_DEPTH_SIGMA, 0.0)
     )

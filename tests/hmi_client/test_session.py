@@ -383,13 +383,6 @@ def test_a_table_of_correspondences_shows_the_id_zero(session):
     assert text.splitlines()[1].split()[:2] == ["0", "accepted"]
 
 
-@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
-def test_a_pixel_that_is_no_number_is_said_and_takes_no_number_of_the_session(session, bad):
-    with pytest.raises(OperatorError, match=r"pixel_i.*nan or inf"):
-        session.add(view("r1"), (bad, 1.0), view("r2"), (3.0, 4.0))
-    assert session.add(view("r1"), A, view("r2"), B).update.n == 1
-
-
 def test_the_state_tells_how_old_a_pose_has_become_and_an_older_one_changes_nothing(session):
     newest = session.poses()["r1"]
     aged = newest.model_copy(update={"age_s": 9.0, "located": False})

@@ -5,18 +5,18 @@ import queue
 import numpy as np
 import pytest
 
-from pose_server.correspondences.book import Book
-from pose_server.inbox import Inbox, Selected, Unusable, Updated
+from pose_server import pipeline
+from pose_server.inbox import Inbox, Selected, Updated
 from protocol.codec import encoding_of, pack
 from protocol.drops import Drops
 from protocol.keys import Keys
 from protocol.messages import OperatorUpdate, Selection
 from protocol.transport import Sample
-from tests.pose_server.correspondence_makers import EPOCH, add, keeps, lift
-from tests.pose_server.test_flows import Forgetful
+from tests.pose_server.scene import EPOCH, turned
+from tests.pose_server.test_flows import click, named, scene_with_points_to_click, site_of
 
 KEYS = Keys("demo")
-ENCODING = encoding_of(OperatorUpdate)
+T_TRUE = turned(15)
 
 
 @pytest.fixture
@@ -24,56 +24,60 @@ def inbox():
     return Inbox(KEYS, queue.SimpleQueue(), Drops())
 
 
-def put(inbox: Inbox, payload: bytes, operator: str = "op", encoding: str = ENCODING):
-    inbox._update(Sample(KEYS.updates(operator), payload, encoding))
+def put(inbox: Inbox, update: OperatorUpdate, operator: str = "op"):
+    inbox._update(Sample(KEYS.updates(operator), pack(update), encoding_of(OperatorUpdate)))
     return None if inbox._store.empty() else inbox._store.get()
 
 
-def broken(number: int, **changes) -> bytes:
-    """An update that says whose it is and is none."""
-    good = add(number)
-    fields = {**dict(good), "pixel_i": np.array([np.nan, 1.0]), **changes}
-    return pack(OperatorUpdate.model_construct(**fields))
+@pytest.fixture(scope="module")
+def scene():
+    return scene_with_points_to_click(np.random.default_rng(4), T_TRUE)
 
 
-def test_a_good_update_and_a_selection_are_stored(inbox):
-    found = put(inbox, pack(add(1)), add(1).operator)
-    assert isinstance(found, Updated) and pack(found.update) == pack(add(1))
+def test_a_selection_is_stored(inbox):
     chosen = Selection(operator="op", session=EPOCH, i="r1", j="r2")
     inbox._selection(Sample(KEYS.selection("op"), pack(chosen), encoding_of(Selection)))
     assert inbox._store.get() == Selected(chosen)
-    assert not inbox._drops
 
 
-def test_an_update_that_is_none_is_counted_and_its_operator_is_told(inbox):
-    operator = add(1).operator
-    found = put(inbox, broken(1), operator)
-    assert isinstance(found, Unusable) and "nan or inf" in found.reason
-    assert (found.number.operator, found.number.n) == (operator, 1)
+def test_nobody_speaks_in_anothers_name(inbox, scene):
+    assert put(inbox, click(1, scene[1][0], T_TRUE), "somebody") is None
     assert sum(inbox._drops.values()) == 1
 
 
-@pytest.mark.parametrize("change", [{"n": 0}, {"session": "x"}, {"operator": "A B"}])
-def test_where_nobody_can_be_told_it_is_only_counted(inbox, change):
-    assert put(inbox, broken(1, **change), add(1).operator) is None
-    assert sum(inbox._drops.values()) == 1
+WRONG = {
+    "no number": ({"pixel_i": np.array([np.nan, 1.0])}, "no place in an image"),
+    "endless": ({"pixel_j": np.array([1.0, np.inf])}, "no place in an image"),
+    "far outside": ({"pixel_i": np.array([1e300, -5.0])}, "outside the image"),
+    "unknown robot": ({"j": "r9", "view_j": named(0, "r9")}, "not both known"),
+    "view gone": ({"view_i": named(77, "r1")}, "not kept"),
+    "itself": ({"j": "r1", "view_j": named(0, "r1")}, "must be two"),
+    "wrong order": ({"i": "r2", "j": "r1"}, "in order of name"),
+    "views of others": ({"view_i": named(0, "r2")}, "not of the robots"),
+    "no depth": ({"pixel_i": np.array([1.0, 1.0])}, "nearest usable point is"),
+    "nothing to erase": ({"action": "erase", "correspondence": 5}, "is not there"),
+    "old set": ({"action": "clear", "base_revision": 7}, "was changed meanwhile"),
+}
 
 
-def test_nobody_can_refuse_in_anothers_name(inbox):
-    assert put(inbox, broken(1), "somebody") is None
-    assert put(inbox, broken(1), add(1).operator, "application/msgpack;fleet.pose.v1") is None
-    assert put(inbox, broken(1)[:-3], add(1).operator) is None
-    assert sum(inbox._drops.values()) == 3
+@pytest.mark.parametrize("changes, reason", WRONG.values(), ids=WRONG)
+def test_whatever_is_wrong_with_a_click_its_operator_is_told(inbox, scene, changes, reason):
+    views, points = scene
+    site = site_of(*views)
+    wrong = click(1, points[0], T_TRUE).model_copy(update=changes)
+    stored = put(inbox, wrong)
+    assert isinstance(stored, Updated) and not inbox._drops
+    (outcome,) = pipeline.receive_update(site, stored.update)
+    assert not outcome.accepted and reason in outcome.reason
+    receipts = site.book.receipts(wrong, EPOCH)
+    assert receipts.n == 1 and reason in receipts.rejections[0].reason
+    (next_one,) = pipeline.receive_update(site, click(2, points[0], T_TRUE))
+    assert next_one.accepted, "it holds up nothing"
 
 
-def test_a_refusal_is_final_takes_its_turn_and_holds_up_nothing():
-    book = Book(Forgetful())
-    early, first, second = add(2), add(1), add(3)
-    assert not book.refuse(early, "nan"), "the first is missing: it will be repeated"
-    book.apply(first, keeps, lift)
-    assert book.refuse(early, "nan") and not book.refuse(early, "nan")
-    receipts = book.receipts(early, EPOCH)
-    assert receipts.n == 2 and receipts.rejections[-1].reason == "this is no update: nan"
-    (outcome,) = book.apply(second, keeps, lift)
-    assert outcome.accepted or outcome.reason
-    assert book.receipts(second, EPOCH).n == 3
+def test_the_same_place_twice_is_a_duplicate(scene):
+    views, points = scene
+    site = site_of(*views)
+    (first,) = pipeline.receive_update(site, click(1, points[0], T_TRUE))
+    (second,) = pipeline.receive_update(site, click(2, points[0], T_TRUE))
+    assert first.accepted and "duplicate" in second.reason

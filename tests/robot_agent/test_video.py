@@ -211,7 +211,8 @@ def test_pairs_too_far_apart_are_dropped_and_in_the_end_refused(opened, monkeypa
 
 
 def calibration(size, **change):
-    K = [[50.0, 0, size[0] / 2], [0, 50.0, size[1] / 2], [0, 0, 1]]
+    focal_px = 50.0 * size[0] / 64
+    K = [[focal_px, 0, size[0] / 2], [0, focal_px, size[1] / 2], [0, 0, 1]]
     content = {"K_left": K, "K_right": K, "R": np.eye(3).tolist(), "t": [-0.1, 0, 0]}
     return {**content, "width": size[0], "height": size[1], **change}
 
