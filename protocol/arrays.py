@@ -47,7 +47,7 @@ def _check_rigid(value: Any) -> npt.NDArray[np.float64]:
     if not np.allclose(T[3], (0.0, 0.0, 0.0, 1.0)):
         raise ValueError("last row of a pose is not 0 0 0 1")
     R = T[:3, :3]
-    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
+    if np.abs(R).max() > 1.01 or np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
         raise ValueError("rotation of a pose is not orthonormal")
     if np.abs(T[:3, 3]).max() > MAX_DISTANCE_M:
         raise ValueError(f"a pose farther than {MAX_DISTANCE_M:g} m")

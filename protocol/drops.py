@@ -37,8 +37,11 @@ class Drops(Counter[str]):
             first = (key, reason) not in self._said and len(self._said) < MAX_SAID
             if first:
                 self._said.add((key, reason))
+            last = first and len(self._said) == MAX_SAID
         if first:
             log.warning("dropped key=%s reason=%s (told once)", one_line(key, 200), sentence)
+        if last:
+            log.warning("%d kinds of drops were told: more are only counted", MAX_SAID)
 
     def snapshot(self) -> dict[str, int]:
         """The counts now."""

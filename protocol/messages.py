@@ -100,7 +100,8 @@ class View(Message, frozen=True, schema="fleet.view.v1", at_most=MAX_MESSAGE_BYT
 
     @model_validator(mode="after")
     def _unit_up(self) -> "View":
-        if self.up_camera is not None and abs(np.linalg.norm(self.up_camera) - 1) > 0.01:
+        up = self.up_camera
+        if up is not None and (np.abs(up).max() > 1.01 or abs(np.linalg.norm(up) - 1) > 0.01):
             raise ValueError("up_camera is no unit vector")
         return self
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from evaluation.observer import Observer
-from protocol.codec import unpack
+from hmi_client.arrivals import opened
 from protocol.errors import FleetPoseError
 from protocol.keys import Keys
 from protocol.messages import PairCorrespondences, Receipts, RobotPose
@@ -54,20 +54,18 @@ class Told:
     """The sets and receipts of the server, whatever else is said under their keys."""
 
     def __init__(self, link: Link, keys: Keys, server_epoch: str) -> None:
-        self._epoch = server_epoch
+        self._keys, self._epoch = keys, server_epoch
         self._lock = threading.Lock()
         self._messages: dict[str, Any] = {}
-        for key, kind in (
-            (keys.correspondences("*", "*"), PairCorrespondences),
-            (keys.receipts("*"), Receipts),
-            (keys.poses, RobotPose),
-        ):
-            link.on_latched(key, lambda sample, kind=kind: self._store(sample, kind))
+        for key in (keys.correspondences("*", "*"), keys.receipts("*"), keys.poses):
+            link.on_latched(key, self._store)
 
-    def _store(self, sample: Sample, kind: Any) -> None:
+    def _store(self, sample: Sample) -> None:
         try:
-            message = unpack(kind, sample.payload, sample.encoding)
+            message = opened(self._keys, sample)
         except FleetPoseError:
+            return
+        if not isinstance(message, PairCorrespondences | Receipts | RobotPose):
             return
         if message.server_epoch == self._epoch:
             with self._lock:

@@ -20,6 +20,7 @@ Model = Literal["translation", "rigid", "affine"]
 
 # A direction counts as spanned when its share of the largest one exceeds this.
 _RANK_TOLERANCE = 0.02
+_ALL_TRIPLES_UP_TO, _DRAWN_TRIPLES = 12, 220
 
 
 @dataclass(frozen=True)
@@ -136,13 +137,8 @@ def _consensus(p_a: Floats, p_b: Floats, inlier_m: float | None) -> npt.NDArray[
     everyone = np.ones(len(p_a), bool)
     if inlier_m is None or len(p_a) < 4:
         return everyone
-    triples = list(combinations(range(len(p_a)), 3))
-    if len(triples) > 220:
-        picked = np.random.default_rng(0).permutation(len(triples))[:220]
-        triples = [triples[k] for k in picked]
     best, best_score = everyone, -1.0
-    for triple in triples:
-        index = list(triple)
+    for index in _triples(len(p_a)):
         try:
             T = rigid(p_a[index], p_b[index])
         except DegenerateGeometryError:
@@ -153,6 +149,16 @@ def _consensus(p_a: Floats, p_b: Floats, inlier_m: float | None) -> npt.NDArray[
         if agrees.sum() >= 3 and score > best_score:
             best, best_score = agrees, score
     return best
+
+
+def _triples(count: int) -> npt.NDArray[np.int64]:
+    """Three different indices per row: all combinations where they are few, else drawn by chance
+    but the same every time.
+    """
+    if count <= _ALL_TRIPLES_UP_TO:
+        return np.array(list(combinations(range(count), 3)))
+    rng = np.random.default_rng(0)
+    return np.array([rng.choice(count, 3, replace=False) for _ in range(_DRAWN_TRIPLES)])
 
 
 def _singular_values(points: Floats) -> Floats:

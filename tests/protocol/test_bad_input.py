@@ -14,7 +14,7 @@ from protocol import codec
 from protocol import messages as m
 from protocol.clouds import MAX_CLOUD_PIXELS, SalientPoints, decode_depth, encode_salient
 from protocol.clouds import decode_salient as decoded
-from protocol.drops import MAX_REASONS, OTHER, Drops
+from protocol.drops import MAX_REASONS, MAX_SAID, OTHER, Drops
 from protocol.errors import CodecError, NameRefusedError
 from protocol.keys import NAME_PATTERN, Keys
 from protocol.slots import Sample, Slots
@@ -168,6 +168,16 @@ def test_every_drop_is_counted_once_and_reasons_are_bounded(noted):
     for key, sentence in noted:
         drops.note(key, sentence)
     assert drops.total() == len(noted) and len(drops) <= MAX_REASONS + 1
+
+
+def test_the_log_ends_where_keys_are_invented_and_the_count_goes_on(caplog):
+    drops = Drops()
+    with caplog.at_level(logging.WARNING):
+        for k in range(MAX_SAID + 50):
+            drops.note(f"fleet/demo/robot/x{k}/cloud", "not msgpack")
+    assert drops == {"not msgpack": MAX_SAID + 50}
+    assert len(caplog.records) == MAX_SAID + 1
+    assert "only counted" in caplog.records[-1].getMessage()
 
 
 def test_drops_of_many_threads_are_all_counted():
