@@ -27,7 +27,9 @@ Indices = npt.NDArray[np.int64]
 _STRONG_INLIERS = 60
 _STRONG_SIGMA, _WEAK_SIGMA = 0.003, 0.006  # raw, share of the depth
 _ENOUGH_MATCHES = 300  # to find a pose; all are used to judge it
-_START_NOISE = NoiseScale(2.0, 1.5)
+# The image is trusted first. Where depths are worse than stated, a fit that may widen the pixel
+# noise settles between both; with loose depths it finds the pixels' pose, and then the noise.
+_START_NOISE = NoiseScale(1.0, 4.0)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """Alignment of made-up views: found at any scale, never verified where nothing is in common."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from pose_server.pairs.align import Start, align_pair
 from pose_server.pairs.starts import Clicks, operator_start, with_operator_fallback
 from pose_server.pairs.verdict import Evidence, judge
 from pose_server.pairs.views import prepare_view
+from protocol.clouds import decode_salient, encode_salient
 from tests.pose_server.scene import descriptors, pair_of_views, turned, view, walls
 
 GOOD = Evidence(
@@ -141,3 +144,19 @@ def test_clicks_alone_are_plausible_where_features_say_nothing_but_never_verifie
     found = with_operator_fallback(align_pair(i, j, [start.start], False), start, i, j)
     assert found.verdict == "plausible"
     assert found.start == "operator"
+
+
+def test_depths_that_are_all_too_long_do_not_bend_a_pose_that_the_images_know():
+    """One view's depths are 12 % too long, ten times their stated sigma and the same for all."""
+    errors_deg = []
+    for seed in range(12):
+        T_true = turned(20 if seed % 2 else 40)
+        i, j = pair_of_views(np.random.default_rng(seed), T_true)
+        points = decode_salient(j.salient)
+        long = dataclasses.replace(points, inverse_depth=points.inverse_depth / np.float32(1.12))
+        j = j.model_copy(update={"salient": encode_salient(long)})
+        result = align_pair(prepare_view(i), prepare_view(j))
+        assert result.T_i_j is not None
+        R_error = T_true[:3, :3].T @ result.T_i_j[:3, :3]
+        errors_deg.append(np.degrees(rotation_angle(R_error)))
+    assert np.median(errors_deg) < 0.18
