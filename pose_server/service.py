@@ -39,6 +39,7 @@ _TICK_S = 0.05
 _PRUNE_S = 2.0
 _STATUS_S = 1.0
 _SOLVE_SHARE = 0.25  # of the server's own thread that solving may take
+_LONGEST_PAUSE_S = 1.0  # but poses must not wait longer for the next solution
 _STATE_SHARE = 0.1  # and making the fleet's state
 _ANSWER_S = 2.0
 
@@ -272,7 +273,7 @@ class Service:
 
     def _solve_if_due(self) -> None:
         now = time.monotonic()
-        pause = self._solve_took_s * (1 / _SOLVE_SHARE - 1)
+        pause = min(self._solve_took_s * (1 / _SOLVE_SHARE - 1), _LONGEST_PAUSE_S)
         if not self.site.dirty or now < self._solved_s + pause:
             return
         pipeline.solve(self.site)
