@@ -41,7 +41,17 @@ def cloud_of(ranges: Ranges, model: Camera) -> DepthCloud | ScatteredCloud:
         return encode_disparity(
             ranges.disparity_px, ranges.focal_baseline_px_m, ranges.step_px, scale
         )
-    return encode_scattered(ranges.uv, ranges.z, _depth_step_m(ranges, model))
+    seen = _inside(ranges, model)
+    return encode_scattered(seen.uv, seen.z, _depth_step_m(seen, model))
+
+
+def _inside(ranges: ScatteredPoints, model: Camera) -> ScatteredPoints:
+    """What lies in the image: a noisy measurement at its border may not, and a view that names a
+    pixel far outside is refused as a whole.
+    """
+    end = (model.width - 0.5, model.height - 0.5)
+    inside = ((ranges.uv >= -0.5) & (ranges.uv < end)).all(axis=1)
+    return ScatteredPoints(ranges.uv[inside], ranges.z[inside])
 
 
 def _depth_step_m(ranges: ScatteredPoints, model: Camera) -> float:
