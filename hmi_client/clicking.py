@@ -110,10 +110,17 @@ def newest(session: OperatorSession, robot: str, seq: int | None) -> ViewName:
 
 
 def wait_for_sets(session: OperatorSession) -> None:
-    """Waits until the sets hold what the state counts: they are latched apart from it."""
+    """Waits until the sets hold what a new state counts.
+
+    Sets are latched apart from the state, and the first state that a command hears may be the
+    latched one, older than a click that has just been confirmed to another command.
+    """
+    first = session.fleet
 
     def all_here() -> bool:
-        cells = session.fleet.pairs if session.fleet else ()
+        if session.fleet is None or session.fleet is first:
+            return False
+        cells = session.fleet.pairs
         here = {pair: len(known.items) for pair, known in session.sets().items()}
         return all(here.get((c.i, c.j), 0) == c.correspondences for c in cells)
 
