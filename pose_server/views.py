@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pose_server.geometry.matching import ratio_matches, similarities
+from pose_server.geometry.matching import ratio_matches
 from pose_server.pairs.engine import EncodedView
 from protocol.clouds import decode_salient, points_of
 from protocol.codec import unpack
@@ -122,10 +122,8 @@ def stands_still(a: KeptView, b: KeptView) -> bool:
 
 
 def _clear_matches(a: KeptView, b: KeptView) -> npt.NDArray[np.int64]:
-    if min(len(a.signature), len(b.signature)) < 3:
-        return np.zeros((0, 2), np.int64)
-    cosines = similarities(_unit(a.signature), _unit(b.signature))
-    return ratio_matches(cosines, _SIGNATURE_RATIO)
+    matches, _ = ratio_matches(_unit(a.signature), _unit(b.signature), _SIGNATURE_RATIO)
+    return matches
 
 
 def _unit(descriptors: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:

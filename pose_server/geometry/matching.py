@@ -6,11 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+
+from pose_server.geometry.kernels import best_around
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
+Descriptors = npt.NDArray[np.float32]
 NO_MATCHES: Indices = np.zeros((0, 2), np.int64)
+_BLOCK = 256  # rows of similarities that stay in the cache
+CELL_PX = 16.0
+_SAME_PLACE_PX = 3.0  # candidates nearer to each other are no rivals
 
 
 @dataclass(frozen=True)
@@ -28,42 +33,77 @@ class Prediction:
     inverse_depth: Floats
 
 
-def similarities(
-    descriptors_i: npt.NDArray[np.float32], descriptors_j: npt.NDArray[np.float32]
-) -> Floats:
-    """(Ni, Nj) cosines of unit descriptors; -1 where the two are of different kinds."""
-    if descriptors_i.shape[1] != descriptors_j.shape[1]:
-        return np.full((len(descriptors_i), len(descriptors_j)), -1.0, np.float32)
-    return descriptors_i @ descriptors_j.T
+@dataclass(frozen=True)
+class PixelGrid:
+    """Pixels (N, 2) by square cells: those of cell c are `order[begin[c] : begin[c + 1]]`.
+
+    Attributes:
+        uv: the pixels.
+        begin: (rows * columns + 1,).
+        order: (N,).
+        columns: cells in a row.
+    """
+
+    uv: Floats
+    begin: Indices
+    order: Indices
+    columns: int
+
+    @classmethod
+    def of(cls, uv: Floats) -> "PixelGrid":
+        """The grid of pixels (N, 2), which are not below 0."""
+        cell = np.maximum(uv // CELL_PX, 0).astype(np.int64)
+        columns, rows = cell.max(axis=0, initial=0) + 1
+        flat = cell[:, 1] * columns + cell[:, 0]
+        begin = np.zeros(rows * columns + 1, np.int64)
+        np.cumsum(np.bincount(flat, minlength=rows * columns), out=begin[1:])
+        return cls(np.ascontiguousarray(uv), begin, np.argsort(flat, kind="stable"), int(columns))
 
 
-def ratio_matches(cosines: Floats, ratio: float) -> Indices:
-    """Mutual nearest neighbours (M, 2) that are clearly nearer than the second (Lowe 2004).
+def ratio_matches(
+    descriptors_i: Descriptors, descriptors_j: Descriptors, ratio: float
+) -> tuple[Indices, Floats]:
+    """Mutual nearest neighbours that are clearly nearer than the second (Lowe 2004).
+
+    Similarities are computed in blocks that fit into the cache and are never stored: writing them
+    all to memory takes longer than computing them.
 
     Args:
-        cosines: (Ni, Nj) similarities; overwritten nowhere.
+        descriptors_i, descriptors_j: (N, D) of unit length.
         ratio: largest allowed distance ratio of nearest and second nearest.
+
+    Returns:
+        matches (M, 2), none if the descriptors are of different kinds, and their cosines (M,).
     """
-    if min(cosines.shape) < 3:
-        return NO_MATCHES
-    best_j = cosines.argmax(axis=1)
-    best_i = cosines.argmax(axis=0)
-    rows = np.arange(len(best_j))
-    mutual = best_i[best_j] == rows
-    rows, columns = rows[mutual], best_j[mutual]
-    candidates = cosines[rows]
-    first = candidates[np.arange(len(rows)), columns]
-    candidates[np.arange(len(rows)), columns] = -1.0
-    second = candidates.max(axis=1, initial=-1.0)
+    count_i, count_j = len(descriptors_i), len(descriptors_j)
+    if min(count_i, count_j) < 3 or descriptors_i.shape[1] != descriptors_j.shape[1]:
+        return NO_MATCHES, np.zeros(0)
+    best = np.zeros(count_i, np.int64)
+    first = np.zeros(count_i, np.float32)
+    second = np.zeros(count_i, np.float32)
+    best_of_j = np.full(count_j, -np.inf, np.float32)
+    transposed = descriptors_j.T
+    for start in range(0, count_i, _BLOCK):
+        rows = slice(start, start + _BLOCK)
+        cosines = descriptors_i[rows] @ transposed
+        np.maximum(best_of_j, cosines.max(axis=0), out=best_of_j)
+        best[rows] = cosines.argmax(axis=1)
+        here = np.arange(len(cosines)), best[rows]
+        first[rows] = cosines[here]
+        cosines[here] = -np.inf
+        second[rows] = cosines.max(axis=1)
     clear = (1 - np.minimum(first, 1)) < ratio**2 * (1 - second)
-    return np.column_stack((rows[clear], columns[clear]))
+    kept = np.flatnonzero(clear & (first == best_of_j[best]))
+    kept = kept[np.sort(np.unique(best[kept], return_index=True)[1])]  # twins tie
+    return np.column_stack((kept, best[kept])), first[kept].astype(np.float64)
 
 
 def guided_matches(
     prediction: Prediction,
-    tree: cKDTree,
+    descriptors: Descriptors,
+    grid: PixelGrid,
     inverse_depth: Floats,
-    cosines: Floats,
+    descriptors_there: Descriptors,
     radius_px: float,
     depth_tolerance: float,
     min_cosine: float = 0.85,
@@ -74,9 +114,10 @@ def guided_matches(
 
     Args:
         prediction: places in the target view.
-        tree: of the target view's pixels (N, 2).
+        descriptors: (M', D) of the source view's points.
+        grid: of the target view's pixels (N, 2).
         inverse_depth: (N,) of the target's points, nan where unknown.
-        cosines: (source, target) similarities.
+        descriptors_there: (N, D) of the target's points.
         radius_px: search radius.
         depth_tolerance: largest allowed relative difference of inverse depth, where it is known.
         min_cosine: smallest allowed similarity.
@@ -85,23 +126,27 @@ def guided_matches(
     Returns:
         matches (M, 2) of source and target indices, and their cosines (M,).
     """
-    if len(prediction.index) == 0 or tree.n < 2:
+    comparable = descriptors.shape[1] == descriptors_there.shape[1]
+    if len(prediction.index) == 0 or len(grid.uv) < 2 or not comparable:
         return NO_MATCHES, np.zeros(0)
-    k = min(24, tree.n)
-    distance, near = tree.query(prediction.uv, k=k, distance_upper_bound=radius_px)
-    found = np.isfinite(distance)
-    near = np.where(found, near, 0)
-    offset = np.abs(prediction.inverse_depth[:, None] - inverse_depth[near])
-    wrong_depth = offset > depth_tolerance * prediction.inverse_depth[:, None]
-    score = np.where(found & ~wrong_depth, cosines[prediction.index[:, None], near], -1.0)
-    rows = np.arange(len(score))
-    best = score.argmax(axis=1)
-    first = score[rows, best]
-    pixels = tree.data[near]
-    rival = np.linalg.norm(pixels - pixels[rows, best][:, None], axis=2) > 3
-    second = np.where(rival, score, -1.0).max(axis=1)
+    best, first, second = best_around(
+        prediction.uv,
+        prediction.inverse_depth,
+        prediction.index,
+        descriptors,
+        grid.begin,
+        grid.order,
+        grid.columns,
+        CELL_PX,
+        grid.uv,
+        inverse_depth,
+        descriptors_there,
+        radius_px,
+        depth_tolerance,
+        _SAME_PLACE_PX,
+    )
     keep = (first > min_cosine) & ((1 - first) < ratio**2 * (1 - second))
-    return np.column_stack((prediction.index[keep], near[rows, best][keep])), first[keep]
+    return np.column_stack((prediction.index, best))[keep], first[keep]
 
 
 def one_to_one(matches: Indices, score: Floats) -> Indices:

@@ -5,9 +5,8 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
-from pose_server.geometry.matching import Prediction
+from pose_server.geometry.matching import PixelGrid, Prediction
 from pose_server.geometry.se3 import transform
 
 Floats = npt.NDArray[np.floating]
@@ -45,9 +44,9 @@ class Observed:
         return np.nonzero(np.isfinite(self.inverse_depth))[0]
 
     @cached_property
-    def tree(self) -> cKDTree:
+    def grid(self) -> PixelGrid:
         """Of the pixels."""
-        return cKDTree(self.uv)
+        return PixelGrid.of(self.uv)
 
     @property
     def focal_px(self) -> float:

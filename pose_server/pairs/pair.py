@@ -4,12 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.geometry.evidence import Agreement, agreement
-from pose_server.geometry.matching import (
-    guided_matches,
-    one_to_one,
-    ratio_matches,
-    similarities,
-)
+from pose_server.geometry.matching import guided_matches, one_to_one, ratio_matches
 from pose_server.geometry.refine import NoiseScale, Refinement, refine
 from pose_server.geometry.se3 import inverse
 from pose_server.pairs.views import PreparedView
@@ -27,7 +22,6 @@ class Pair:
     Attributes:
         depth_m: median depth of both.
         sigma: relative sigma of the distance of two matching points along the ray.
-        cosines: (Ni, Nj) similarities of all salient points.
         ratio: (M, 2) matches by descriptor alone, of points with depth.
     """
 
@@ -35,9 +29,8 @@ class Pair:
         self.i, self.j = i, j
         self.depth_m = 0.5 * (i.median_depth_m + j.median_depth_m)
         self.sigma = float(np.hypot(i.surface.depth_sigma, j.surface.depth_sigma))
-        self.cosines = similarities(i.descriptors, j.descriptors)
         lifted_i, lifted_j = i.observed.lifted, j.observed.lifted
-        found = ratio_matches(self.cosines[np.ix_(lifted_i, lifted_j)], RATIO)
+        found, _ = ratio_matches(i.descriptors[lifted_i], j.descriptors[lifted_j], RATIO)
         self.ratio = np.column_stack((lifted_i[found[:, 0]], lifted_j[found[:, 1]]))
 
     def points(self, matches: Indices) -> tuple[Floats, Floats]:
@@ -58,17 +51,19 @@ class Pair:
         pixels_i, pixels_j = max(radius * i.focal_px, 4.0), max(radius * j.focal_px, 4.0)
         into_j, score_j = guided_matches(
             i.predict_in(j, inverse(T), pixels_j),
-            j.tree,
+            self.i.descriptors,
+            j.grid,
             j.inverse_depth,
-            self.cosines,
+            self.j.descriptors,
             pixels_j,
             tolerance,
         )
         into_i, score_i = guided_matches(
             j.predict_in(i, T, pixels_i),
-            i.tree,
+            self.j.descriptors,
+            i.grid,
             i.inverse_depth,
-            self.cosines.T,
+            self.i.descriptors,
             pixels_i,
             tolerance,
         )

@@ -53,12 +53,13 @@ def match_pairs(pairs: list[tuple[Image, Image]]) -> Matches:
 
 
 def _matched(left: Image, right: Image) -> tuple[Floats, Floats]:
-    (uv_left, _, of_left), (uv_right, _, of_right) = (detect(eye, POINTS) for eye in (left, right))
-    if min(len(uv_left), len(uv_right)) < 2:
+    in_left, in_right = detect(left, POINTS), detect(right, POINTS)
+    if min(len(in_left.uv), len(in_right.uv)) < 2:
         return np.zeros((0, 2)), np.zeros((0, 2))
-    there, back = _best(of_left, of_right), _best(of_right, of_left)
+    there = _best(in_left.descriptors, in_right.descriptors)
+    back = _best(in_right.descriptors, in_left.descriptors)
     mutual = np.flatnonzero((there >= 0) & (back[there] == np.arange(len(there))))
-    return uv_left[mutual], uv_right[there[mutual]]
+    return in_left.uv[mutual], in_right.uv[there[mutual]]
 
 
 def _best(queries: npt.NDArray[np.float32], among: npt.NDArray[np.float32]) -> npt.NDArray[np.intp]:

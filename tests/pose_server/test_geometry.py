@@ -200,13 +200,25 @@ def test_no_depth_says_how_far_the_nearest_point_is():
 
 
 @settings(max_examples=30)
-@given(st.integers(0, 10_000), st.integers(3, 40), st.integers(3, 40))
+@given(st.integers(0, 10_000), st.integers(3, 600), st.integers(3, 40))
 def test_ratio_matches_are_mutual_and_one_to_one(seed, n, m):
-    cosines = np.random.default_rng(seed).uniform(-1, 1, (n, m)).astype(np.float32)
-    matches = ratio_matches(cosines.copy(), 0.95)
+    rng = np.random.default_rng(seed)
+    a, b = (d / np.linalg.norm(d, axis=1, keepdims=True) for d in rng.normal(size=(2, 600, 4)))
+    a, b = a[:n].astype(np.float32), b[:m].astype(np.float32)
+    matches, cosines = ratio_matches(a, b, 0.95)
     assert len(np.unique(matches[:, 0])) == len(np.unique(matches[:, 1])) == len(matches)
-    for a, b in matches:
-        assert cosines[a].argmax() == b and cosines[:, b].argmax() == a
+    every = a.astype(float) @ b.astype(float).T
+    for (k, m), cosine in zip(matches, cosines, strict=True):
+        assert cosine == pytest.approx(every[k].max(), abs=1e-5)
+        assert every[k, m] == pytest.approx(every[k].max(), abs=1e-5)
+        assert every[k, m] == pytest.approx(every[:, m].max(), abs=1e-5)
+
+
+def test_twins_and_other_kinds_of_descriptors_do_not_confuse_matching():
+    d = np.eye(4, 8, dtype=np.float32)
+    matches, _ = ratio_matches(np.concatenate((d, d)), d, 0.95)
+    assert len(np.unique(matches[:, 1])) == len(matches)
+    assert len(ratio_matches(d, np.eye(4, 6, dtype=np.float32), 0.95)[0]) == 0
 
 
 def test_one_to_one_keeps_the_best():
