@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pose_server.geometry import dlt
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.lift import lift_pixel
 from pose_server.geometry.matching import one_to_one, ratio_matches
@@ -20,7 +19,6 @@ from pose_server.geometry.se3 import (
     make_pose,
     retract,
     rotation_angle,
-    transform,
 )
 from tests.pose_server.scene import K, observed_pair, turned
 
@@ -60,70 +58,6 @@ def test_composed_covariance_is_that_of_many_draws():
     expected = compose_covariance(T_a_b, C_ab, C_bc)
     drawn = np.cov(np.array(errors).T)
     assert np.allclose(drawn, expected, atol=0.1 * np.abs(expected).max())
-
-
-def test_dlt_recovers_an_affine_map_from_four_points():
-    rng = np.random.default_rng(1)
-    H = np.eye(4)
-    H[:3] = rng.normal(0, 1, (3, 4))
-    p_b = rng.normal(0, 3, (4, 3)) + 100.0
-    assert np.allclose(dlt.affine(transform(H, p_b), p_b), H, atol=1e-6)
-
-
-@pytest.mark.parametrize("scale", [0.01, 1.0, 100.0])
-def test_rigid_motion_is_recovered_at_any_scale(scale):
-    rng = np.random.default_rng(2)
-    T = random_pose(rng)
-    T[:3, 3] *= scale
-    p_b = scale * rng.normal(0, 1, (3, 3))
-    found = dlt.fit(transform(T, p_b), p_b)
-    assert found.model == "rigid"
-    assert np.allclose(found.T_a_b, T, atol=1e-6 * max(scale, 1))
-
-
-def test_points_on_a_line_determine_a_translation_only_and_say_so():
-    rng = np.random.default_rng(3)
-    p_b = np.outer(np.arange(5.0), [1.0, 2.0, 0.5])
-    found = dlt.fit(p_b + np.array([1.0, 2.0, 3.0]), p_b)
-    assert found.model == "translation"
-    assert "one line" in found.note
-    assert np.allclose(found.T_a_b[:3, 3], [1, 2, 3])
-    with pytest.raises(DegenerateGeometryError, match="one line"):
-        dlt.rigid(p_b, p_b + rng.normal(0, 1e-6, p_b.shape))
-
-
-def test_points_in_a_plane_step_down_to_a_rigid_motion():
-    rng = np.random.default_rng(4)
-    p_b = np.column_stack((rng.normal(0, 1, (6, 2)), np.zeros(6)))
-    T = random_pose(rng)
-    found = dlt.fit(transform(T, p_b), p_b)
-    assert found.model == "rigid"
-    assert "plane" in found.note
-    assert np.allclose(found.T_a_b, T, atol=1e-8)
-
-
-def test_one_wrong_correspondence_of_five_is_found_and_does_not_move_the_pose():
-    rng = np.random.default_rng(5)
-    T = random_pose(rng)
-    p_b = rng.normal(0, 2, (5, 3))
-    p_a = transform(T, p_b)
-    p_a[3] += [1.5, -1.0, 0.8]
-    found = dlt.fit(p_a, p_b, inlier_m=0.1)
-    assert list(found.inliers) == [True, True, True, False, True]
-    assert np.allclose(found.T_a_b, T, atol=1e-6)
-
-
-@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((3, 3), np.nan)])
-def test_no_or_impossible_points_raise(points):
-    with pytest.raises(DegenerateGeometryError):
-        dlt.fit(points, points)
-
-
-def test_mirrored_points_never_give_a_reflection():
-    rng = np.random.default_rng(6)
-    p = rng.normal(0, 1, (8, 3))
-    found = dlt.fit(p * [-1, 1, 1], p)
-    assert np.linalg.det(found.T_a_b[:3, :3]) == pytest.approx(1.0)
 
 
 def test_refinement_is_as_good_as_its_covariance_says():

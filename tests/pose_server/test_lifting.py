@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from pose_server.geometry.errors import DegenerateGeometryError
@@ -41,7 +41,9 @@ def slanted(scale: int, holes: float, seed: int) -> np.ndarray:
     st.tuples(st.floats(0, SIZE[0] - 1), st.floats(0, SIZE[1] - 1)),
 )
 def test_what_is_near_gives_the_point_that_the_whole_cloud_gives(scale, holes, seed, pixel):
-    message = dense_view(slanted(scale, holes, seed), scale)
+    depth = slanted(scale, holes, seed)
+    assume(np.isfinite(depth).sum() >= 10)  # fewer are no view
+    message = dense_view(depth, scale)
     kept, points, at = open_view(pack(message), None, 0.0), points_of(message), np.array(pixel)
     noise = point_noise(message.camera.noise)
     try:
