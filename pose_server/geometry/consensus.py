@@ -26,7 +26,7 @@ Bools = npt.NDArray[np.bool_]
 OUTLIER_CHI2 = 16.3  # 3 dof, 99.9 %
 _CONTRADICTION = 1e-4  # share of right sets that are more at odds with themselves
 _ALL_SETS_UP_TO = 130  # explanations; beyond, they grow from drawn triples
-_DRAWN_TRIPLES = 100
+_DRAWN_TRIPLES = 40  # a fifth of them wrong: half of all triples are right
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +39,6 @@ class Consensus:
         inliers: (N,) which agree.
         distance2: (N,) squared Mahalanobis distances at the pose, 3 dof; for the outliers, the
             pose's own covariance is allowed for.
-        runner_up: cost of the best explanation with other outliers, less the cost of this one; inf
-            where there is none.
         contradiction: empty, or how the inliers contradict each other: no pose suits them.
     """
 
@@ -48,7 +46,6 @@ class Consensus:
     covariance: Floats
     inliers: Bools
     distance2: Floats
-    runner_up: float
     contradiction: str = ""
 
 
@@ -61,16 +58,12 @@ def consensus(pairs: PointPairs, price: float = OUTLIER_CHI2) -> Consensus:
     """
     check_points(pairs.p_a, pairs.p_b)
     scale_between(pairs.p_a, pairs.p_b)
-    explained, why = _explained(pairs, price)
-    if not explained:
-        raise DegenerateGeometryError(why)
-    cost, T, covariance, right = explained[0]
+    T, covariance, right = _best_explanation(pairs, price)
     distance2 = np.where(right, pairs.distance2(T), pairs.distance2(T, covariance))
     contradiction = _contradiction(distance2[right])
     if contradiction or not right.all():
         _refuse_mirror_image(pairs)
-    margin = explained[1][0] - cost if len(explained) > 1 else np.inf
-    return Consensus(T, covariance, right, distance2, margin, contradiction)
+    return Consensus(T, covariance, right, distance2, contradiction)
 
 
 def pose_of(pairs: PointPairs) -> tuple[Floats, Floats]:
@@ -83,25 +76,31 @@ def pose_of(pairs: PointPairs) -> tuple[Floats, Floats]:
     return pairs.refined(rigid_unchecked(pairs.p_a, pairs.p_b))
 
 
-def _explained(
-    pairs: PointPairs, price: float
-) -> tuple[list[tuple[float, Floats, Floats, Bools]], str]:
-    """Cost, pose, covariance and mask of all explanations, cheapest first; why others have none."""
-    found: dict[bytes, tuple[float, Floats, Floats, Bools]] = {}
-    why = ""
+def _best_explanation(pairs: PointPairs, price: float) -> tuple[Floats, Floats, Bools]:
+    """Pose, covariance and mask of the cheapest explanation.
+
+    Raises:
+        DegenerateGeometryError: none has a pose; the text is that of the first, which takes all
+            correspondences as right.
+    """
+    best, lowest, why = None, np.inf, f"{len(pairs)} correspondences, need 3"
+    tried: set[bytes] = set()
     for right in _explanations(pairs):
-        if right.tobytes() in found:
-            continue
+        paid = price * int((~right).sum())
+        if paid >= lowest or right.tobytes() in tried:
+            continue  # its price alone is more than another's whole cost
+        tried.add(right.tobytes())
         try:
             T, covariance = pose_of(pairs[right])
         except DegenerateGeometryError as error:
-            why = why or str(error)  # the first one takes all of them as right
+            why = str(error) if len(tried) == 1 else why
             continue
-        cost = float(pairs[right].distance2(T).sum()) + price * int((~right).sum())
-        found[right.tobytes()] = (cost, T, covariance, right)
-    return sorted(found.values(), key=lambda one: one[0]), (
-        why or f"{len(pairs)} correspondences, need 3"
-    )
+        cost = float(pairs[right].distance2(T).sum()) + paid
+        if cost < lowest:
+            best, lowest = (T, covariance, right), cost
+    if best is None:
+        raise DegenerateGeometryError(why)
+    return best
 
 
 def _contradiction(distance2: Floats) -> str:
@@ -143,12 +142,24 @@ def _explanations(pairs: PointPairs) -> Iterator[Bools]:
                 right[list(chosen)] = False
                 yield right
         return
-    yield np.ones(n, bool)
+    everyone = np.ones(n, bool)
+    yield everyone
+    if _agree(pairs):
+        return
     rng = np.random.default_rng(0)  # by chance, but the same every time
     for _ in range(_DRAWN_TRIPLES):
         right = _grown(pairs, rng.choice(n, 3, replace=False))
         if right is not None and 2 * right.sum() > n:
             yield right
+
+
+def _agree(pairs: PointPairs) -> bool:
+    """Whether all of many correspondences agree: none stands out."""
+    try:
+        T, _ = pose_of(pairs)
+    except DegenerateGeometryError:
+        return False
+    return bool((pairs.distance2(T) < OUTLIER_CHI2).all())
 
 
 def _grown(pairs: PointPairs, triple: npt.NDArray[np.int64]) -> Bools | None:

@@ -168,9 +168,11 @@ def with_operator_fallback(
     poses = [(operator.start.T_i_j, "operator", f"by {count} correspondences alone")]
     if result.T_i_j is not None and operator.suits(result.T_i_j):
         poses.insert(0, (result.T_i_j, result.start, f"{count} correspondences agree with it"))
+    through = 0.0
     for T, start, reason in poses:
         seen = agreement(i.surface, j.surface, T)
-        if seen.through <= _MAX_SEEN_THROUGH:
+        through = seen.through
+        if through <= _MAX_SEEN_THROUGH:
             return replace(
                 result,
                 T_i_j=T,
@@ -180,7 +182,7 @@ def with_operator_fallback(
                 overlap=seen.overlap,
                 start=start,
             )
-    reason = f"{seen.through:.0%} of the cloud moved by the correspondences is seen through"
+    reason = f"{through:.0%} of the cloud moved by the correspondences is seen through"
     return replace(result, reasons=(*result.reasons, reason))
 
 

@@ -16,9 +16,9 @@ EXACT = {"rtol": 1e-6, "atol": 1e-6}
 
 def corners(rng: np.random.Generator, count: int) -> np.ndarray:
     """Points in general position: a tetrahedron, its middle, and more, a little moved."""
-    ideal = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1], [0.1, -0.1, 0.2]])
+    ideal = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1], [0.1, -0.2, 0.4]])
     more = rng.uniform(-1, 1, (max(count - 5, 0), 3))
-    return np.vstack((ideal, more))[:count] + rng.uniform(-0.1, 0.1, (count, 3))
+    return np.vstack((ideal, more))[:count] + rng.uniform(-0.03, 0.03, (count, 3))
 
 
 @given(seeds, st.integers(4, 9))
@@ -32,7 +32,7 @@ def test_affine_is_recovered_from_four_points_on(rng, count):
 @given(seeds, st.integers(5, 12))
 def test_projective_is_recovered_from_five_points_on(rng, count):
     H = np.eye(4)
-    H[:3] = rng.normal(0, 1, (3, 4))
+    H[:3] = random_pose(rng)[:3] + rng.uniform(-0.2, 0.2, (3, 4))
     H[3, :3] = rng.uniform(-0.1, 0.1, 3)
     p_b = corners(rng, count)
     found = dlt.projective(dlt.apply(H, p_b), p_b)
@@ -122,14 +122,14 @@ def test_points_on_a_line_determine_a_shift_only_and_never_a_made_up_rotation(rn
     found = dlt.fit(p_b @ R.T + shift, p_b, R)
     assert found.model == "translation" and "one line" in found.note
     assert np.allclose(found.T_a_b[:3, :3], R) and np.allclose(found.T_a_b[:3, 3], shift)
-    with pytest.raises(DegenerateGeometryError, match="one line.*no rotation is known"):
+    with pytest.raises(DegenerateGeometryError, match=r"one line.*no rotation is known"):
         dlt.fit(p_b @ R.T + shift, p_b)
 
 
 def test_coincident_points_and_a_single_one_say_so():
     for count in (1, 5):
         p = np.tile([1.0, 2.0, 3.0], (count, 1))
-        with pytest.raises(DegenerateGeometryError, match="coincide.*no rotation"):
+        with pytest.raises(DegenerateGeometryError, match=r"coincide.*no rotation"):
             dlt.fit(p, p)
         assert np.allclose(dlt.fit(p + 1, p, np.eye(3)).T_a_b[:3, 3], 1.0)
 
@@ -146,7 +146,7 @@ def test_mirror_images_are_refused_by_every_model(rng, count):
 @given(seeds, st.integers(2, 8), st.sampled_from((1e3, 1e-3, 100.0, 39.37, 3.28)))
 def test_other_units_are_named_with_the_factor(rng, count, factor):
     p_b = corners(rng, count)
-    with pytest.raises(DegenerateGeometryError, match="times as long.*metres"):
+    with pytest.raises(DegenerateGeometryError, match=r"times as long.*metres"):
         dlt.fit(transform(random_pose(rng), p_b) * factor, p_b, np.eye(3))
 
 

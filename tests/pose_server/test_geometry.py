@@ -151,3 +151,50 @@ def test_one_to_one_keeps_the_best():
 
 def test_angle_by_chord_is_exact_for_tiny_turns():
     assert rotation_angle(exp_so3(np.array([1e-9, 0, 0]))) == pytest.approx(1e-9, rel=1e-3)
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 10_000), st.floats(0.02, 0.5), st.floats(300, 339), st.floats(200, 239))
+def test_lifting_stays_on_one_side_of_any_edge_and_owns_up_near_it(seed, density, u, v):
+    """Sparse or dense, the depth is one that a surface has, and a doubtful one is unsure."""
+    rng = np.random.default_rng(seed)
+    uv, z = grid(lambda uv: np.where(uv[:, 0] + 0.3 * uv[:, 1] < 386, 2.0, 5.0))
+    some = rng.random(len(z)) < density
+    try:
+        lifted = lift_pixel(np.array([u, v]), uv[some], z[some], K, NOISE, 6.0)
+    except DegenerateGeometryError as error:
+        assert "px away" in str(error) or "no depth" in str(error)
+        return
+    miss = min(abs(lifted.p[2] - 2.0), abs(lifted.p[2] - 5.0))
+    assert miss < 1e-6
+    truth = 2.0 if u + 0.3 * v < 386 else 5.0
+    assert abs(lifted.p[2] - truth) < 6 * lifted.sigma_z
+    assert np.linalg.eigvalsh(lifted.C)[0] > 0
+
+
+def test_a_lone_wrong_depth_under_the_click_is_outvoted():
+    uv, z = grid(lambda uv: np.full(len(uv), 3.0))
+    z[(uv == [320, 220]).all(axis=1)] = 7.0
+    assert lift_pixel(np.array([320.0, 220.0]), uv, z, K, NOISE, 2.0).p[2] == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 0.0, -1.0])
+def test_what_is_no_depth_is_not_lifted(bad):
+    uv, z = grid(lambda uv: np.full(len(uv), 3.0))
+    z[uv[:, 0] < 330] = bad
+    assert lift_pixel(np.array([329.0, 220.0]), uv, z, K, NOISE, 2.0).p[2] == pytest.approx(3.0)
+    with pytest.raises(DegenerateGeometryError, match="10 px away"):
+        lift_pixel(np.array([320.0, 220.0]), uv, z, K, NOISE, 2.0)
+    with pytest.raises(DegenerateGeometryError, match="not finite"):
+        lift_pixel(np.array([np.nan, 220.0]), uv, z, K, NOISE, 2.0)
+
+
+def test_lifting_is_the_same_at_any_scale_of_the_scene():
+    uv, z = grid(lambda uv: 1.0 / (0.4 + 0.0005 * (uv[:, 0] - 320)))
+    at = np.array([317.4, 222.7])
+    one = lift_pixel(at, uv, z, K, NOISE, 2.0)
+    for scale in (1e-2, 1e3):
+        noise = PointNoise(0.5, (0.0, 0.0, 0.001 / scale))
+        other = lift_pixel(at, uv, scale * z, K, noise, 2.0)
+        assert np.allclose(other.p, scale * one.p)
+        assert np.allclose(other.C, scale**2 * one.C, rtol=0.02)
