@@ -203,8 +203,8 @@ def scale_between(p_a: Floats, p_b: Floats) -> float:
     Raises:
         DegenerateGeometryError: all distances agree on a scale that only other units explain.
     """
-    k, l = np.triu_indices(len(p_a), 1)  # noqa: E741
-    of_a, of_b = (np.linalg.norm(p[k] - p[l], axis=1) for p in (p_a, p_b))
+    k, m = np.triu_indices(len(p_a), 1)
+    of_a, of_b = (np.linalg.norm(p[k] - p[m], axis=1) for p in (p_a, p_b))
     told = np.minimum(of_a, of_b) > 1e-9 * max(np.abs(p_a).max(), np.abs(p_b).max())
     if not told.any():
         return 1.0
