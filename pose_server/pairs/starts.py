@@ -158,15 +158,17 @@ def with_operator_fallback(
 
     Of two poses the sharper is taken: what features made of it, if all clicks agree with that, else
     the clicks' own. Either is as sure as the clicks are, and none is taken that the world
-    contradicts: the moved cloud is seen through.
+    contradicts: the moved cloud is seen through. A pose that is no more than plausible yields to
+    clicks that contradict it and agree with each other.
     """
     if operator is None or operator.covariance is None or not operator.alone:
         return result
-    if result.verdict in ("verified", "plausible"):
+    suits = result.T_i_j is not None and operator.suits(result.T_i_j)
+    if result.verdict == "verified" or (result.verdict == "plausible" and suits):
         return result
     count = int(operator.inliers.sum())
     poses = [(operator.start.T_i_j, "operator", f"by {count} correspondences alone")]
-    if result.T_i_j is not None and operator.suits(result.T_i_j):
+    if result.T_i_j is not None and suits:
         poses.insert(0, (result.T_i_j, result.start, f"{count} correspondences agree with it"))
     through = 0.0
     for T, start, reason in poses:
