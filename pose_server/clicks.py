@@ -11,6 +11,8 @@ import numpy.typing as npt
 
 from pose_server.correspondences.book import Kept
 from pose_server.fleet.types import ClickFactor
+from pose_server.geometry.consensus import OUTLIER_CHI2
+from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.se3 import transform
 from pose_server.pairs.starts import Clicks
 from pose_server.pairs.tracking import Attached
@@ -19,8 +21,6 @@ from protocol.messages import CorrespondenceStatus, ViewName
 
 Floats = npt.NDArray[np.floating]
 Judgement = tuple[CorrespondenceStatus, float | None, float | None]
-
-_OUTLIER_CHI2 = 21.1  # 3 dof, 99.99 %: a person's click is no Gaussian
 
 
 def click_factors(site: Site) -> list[ClickFactor]:
@@ -78,17 +78,16 @@ def _judged(site: Site, kept: Kept) -> Judgement:
     if T_i_j is None:
         return "unused", None, None
     p = transform(T_i_j, kept.p_j[None])[0]
-    apart = kept.p_i - p
-    R = T_i_j[:3, :3]
-    distance2 = float(apart @ np.linalg.solve(kept.C_i + R @ kept.C_j @ R.T, apart))
+    clicked = PointPairs(kept.p_i[None], kept.p_j[None], kept.C_i[None], kept.C_j[None])
+    distance2 = float(clicked.distance2(T_i_j)[0])
     u, v, w = site.views[kept.item.view_i].camera.K @ p
     residual_px = (
         float(np.hypot(u / w - kept.item.pixel_i[0], v / w - kept.item.pixel_i[1]))
         if w > 0
         else 1e6
     )
-    status = "outlier" if distance2 > _OUTLIER_CHI2 else "accepted"
-    return status, float(np.linalg.norm(apart)), residual_px
+    status = "outlier" if distance2 > OUTLIER_CHI2 else "accepted"
+    return status, float(np.linalg.norm(kept.p_i - p)), residual_px
 
 
 def _carried(here: Attached, p: Floats, C: Floats) -> tuple[Floats, Floats]:

@@ -15,11 +15,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
-from pose_server.fleet.clicks import PointPairs, pose_from_clicks
+from pose_server.fleet.clicks import pose_from_clicks
 from pose_server.fleet.forest import Forest
 from pose_server.fleet.links import PLAUSIBLE, Link, link
 from pose_server.fleet.types import ClickFactor, SolveSettings
 from pose_server.geometry.errors import DegenerateGeometryError
+from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.se3 import (
     compose_covariance,
     hat,

@@ -7,7 +7,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from pose_server.fleet import factors as gt
-from pose_server.fleet.clicks import PointPairs
 from pose_server.fleet.layout import FleetInput, Layout
 from pose_server.fleet.links import CONTESTED, VERDICT_OF_RANK, VERIFIED
 from pose_server.fleet.settle import Found, contested_edges
@@ -19,6 +18,7 @@ from pose_server.fleet.types import (
     FleetSolution,
     NodePose,
 )
+from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.se3 import inverse, transform
 from protocol.messages import ViewName
 

@@ -12,9 +12,12 @@ from pose_server.geometry.noise import PointNoise, covariances
 
 Floats = npt.NDArray[np.floating]
 
-_SAME_SURFACE = 0.03  # relative difference of inverse depth on one surface
+CLICK_SIGMA_PX = 1.5  # of a person's click, in either image
 NEIGHBOURS = 12  # that a point is lifted from, at most
-_CLICK_SIGMA_PX = 1.5
+_SAME_SURFACE = 0.03  # relative difference of inverse depth on one surface
+_REACH = 3.0  # radii within which neighbours count
+_UNKNOWN_PER_PX = 0.002  # share of the depth that a surface may leave its plane, per pixel of gap
+_KNOWN_WITHIN_PX = 0.75  # nearer than this a point is as good as under the click
 
 
 @dataclass(frozen=True)
@@ -37,21 +40,29 @@ def lift_pixel(
 ) -> LiftedPoint:
     """Lifts a pixel onto the surface of the points near it.
 
-    A local plane in inverse depth (planes stay planes there) is fitted to the neighbours that lie
-    on the same surface as the nearest one; it is drawn to a constant where the neighbours do not
-    determine a slope.
+    The neighbours are told apart by surface; the surface that speaks loudest at the pixel is
+    taken, and a local plane in inverse depth (planes stay planes there) is fitted to it. The plane
+    is drawn to a constant where the neighbours do not determine a slope. The depth's sigma covers
+    the camera's noise, what the slope makes of a hand's noise, the gap to the nearest point, and
+    the chance that one of the other surfaces was meant.
 
     Args:
         pixel: (2,) where.
         uv: (N, 2) pixels of points with depth.
-        z: (N,) their depths, metres.
+        z: (N,) their depths, metres; what is not finite and positive is no depth.
         K: (3, 3) intrinsics.
         noise: of the camera.
         radius_px: how far the nearest point may be.
 
     Raises:
         DegenerateGeometryError: no point is near enough; the text says how far the nearest is.
+            The pixel is not finite.
     """
+    if not np.isfinite(pixel).all():
+        raise DegenerateGeometryError(f"pixel {pixel} is not finite")
+    usable = np.isfinite(z) & (z > 0) & np.isfinite(uv).all(axis=1)
+    if not usable.all():
+        uv, z = uv[usable], z[usable]
     if len(z) == 0:
         raise DegenerateGeometryError("no depth anywhere in this view")
     distance = np.linalg.norm(uv - pixel, axis=1)
@@ -62,26 +73,43 @@ def lift_pixel(
         raise DegenerateGeometryError(
             f"no depth here, nearest usable point is {distance[near[0]]:.0f} px away"
         )
-    q = 1.0 / z[near]
-    same = (np.abs(q - q[0]) < _SAME_SURFACE * q[0]) & (distance[near] < 3 * radius_px)
-    near, q = near[same], q[same]
-    inverse_depth = _plane_at(uv[near] - pixel, q)
-    depth = 1.0 / inverse_depth
+    near = near[distance[near] < _REACH * radius_px]
+    q, weight = 1.0 / z[near], 1.0 / (distance[near] ** 2 + CLICK_SIGMA_PX**2)
+    own = _loudest_surface(q, weight)
+    level, slope = _plane_at(uv[near[own]] - pixel, q[own])
+    depth = 1.0 / level
     p = depth * np.linalg.inv(K) @ np.array([pixel[0], pixel[1], 1.0])
-    # what the surface does between the pixel and the nearest point is not known
-    unknown = 0.002 * depth * max(0.0, float(distance[near[0]]) - 0.75)
-    sigma = float(np.hypot(noise.depth_sigma(np.array(depth)), unknown))
-    C = covariances(p[None], float(K[0, 0]), _CLICK_SIGMA_PX, np.array([sigma]))[0]
+    gap_px = max(0.0, float(distance[near[own]][0]) - _KNOWN_WITHIN_PX)
+    other2 = float(weight[~own] @ (z[near[~own]] - depth) ** 2) / float(weight.sum())
+    sigma = float(
+        np.sqrt(
+            noise.depth_sigma(np.array(depth)) ** 2
+            + (_UNKNOWN_PER_PX * depth * gap_px) ** 2
+            + (CLICK_SIGMA_PX * slope * depth**2) ** 2
+            + other2
+        )
+    )
+    C = covariances(p[None], float(K[0, 0]), CLICK_SIGMA_PX, np.array([sigma]))[0]
     return LiftedPoint(p, C, sigma)
 
 
-def _plane_at(offset: Floats, q: Floats) -> float:
-    """Value at the origin of a weighted plane through (offset (N, 2), q (N,)), with a ridge on the
-    slope.
+def _loudest_surface(q: Floats, weight: Floats) -> npt.NDArray[np.bool_]:
+    """Which neighbours lie on the surface with the largest weight, told apart by inverse depth
+    (N,); of equals, that of the nearest. A lone wrong depth under the click is so outvoted.
+    """
+    alike = np.abs(q[:, None] - q) < _SAME_SURFACE * q
+    return alike[:, int(np.argmax(weight @ alike))]
+
+
+def _plane_at(offset: Floats, q: Floats) -> tuple[float, float]:
+    """Value at the origin, and steepness per pixel, of a weighted plane through (offset (N, 2),
+    q (N,)), with a ridge on the slope; the value stays within the surface.
     """
     weight = 1.0 / ((offset**2).sum(axis=1) + 1.0)
     X = np.column_stack((np.ones(len(q)), offset))
     A = (X * weight[:, None]).T @ X + np.diag([1e-9, 2.0, 2.0])
-    level = float(q[0] + np.linalg.solve(A, (X * weight[:, None]).T @ (q - q[0]))[0])
-    limit = _SAME_SURFACE * q[0]
-    return float(np.clip(level, q[0] - limit, q[0] + limit))
+    middle = float(np.median(q))
+    plane = np.linalg.solve(A, (X * weight[:, None]).T @ (q - middle))
+    limit = _SAME_SURFACE * middle
+    level = middle + float(np.clip(plane[0], -limit, limit))
+    return level, float(np.hypot(plane[1], plane[2]))

@@ -7,21 +7,26 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.geometry import dlt
+from pose_server.geometry.consensus import OUTLIER_CHI2, consensus
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.evidence import agreement
+from pose_server.geometry.gravity import Gravity, pose_by_gravity
+from pose_server.geometry.lift import CLICK_SIGMA_PX
 from pose_server.geometry.noise import covariances
 from pose_server.geometry.observed import Observed
+from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.refine import NoiseScale, Refinement, refine
 from pose_server.geometry.se3 import position_covariance
+from pose_server.geometry.spread import check_points, dimension
 from pose_server.pairs.align import Start
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.views import PreparedView
 
 Floats = npt.NDArray[np.floating]
 
-CLICK_SIGMA_PX = 2.0  # of a person's click, in either image
 _FULL_POSE = 3  # correspondences that determine a pose
 _MAX_SEEN_THROUGH = 0.25
+_TRANSLATION_SIGMA = 0.03  # of a start whose rotation comes from elsewhere, at least
 
 
 @dataclass(frozen=True)
@@ -38,100 +43,172 @@ class Clicks:
     sigma_j: Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class OperatorStart:
-    """A start from clicks; `covariance` only where they determine a full pose."""
+    """A start from clicks.
+
+    Attributes:
+        start: the pose, and how far it may be off.
+        covariance: (6, 6), only where the clicks determine a full pose.
+        inliers: (N,) which clicks the pose grew from; the others contradict it.
+        model: the largest model that the inliers determine, or `upright` by two and gravity.
+        note: empty, or why it is not a larger one, or how the clicks contradict each other.
+        pairs: the clicked points.
+        alone: whether the clicks alone may stand for the pose where features say nothing.
+    """
 
     start: Start
     covariance: Floats | None
     inliers: npt.NDArray[np.bool_]
     model: str
+    pairs: PointPairs
+    note: str = ""
+    alone: bool = False
+
+    def suits(self, T_i_j: Floats) -> bool:
+        """Whether a pose found otherwise explains all clicks that agree with each other."""
+        return bool((self.pairs[self.inliers].distance2(T_i_j) < OUTLIER_CHI2).all())
 
 
 def operator_start(
-    i: PreparedView, j: PreparedView, clicks: Clicks, others: Sequence[Start]
+    i: PreparedView,
+    j: PreparedView,
+    clicks: Clicks,
+    others: Sequence[Start],
+    gravity: Gravity | None = None,
 ) -> OperatorStart | None:
-    """DLT on the clicks, then anisotropic refinement where they determine a full pose.
-
-    One or two clicks give a translation only; the rotation comes from the best other start,
-    without one there is none.
-    """
-    observed_i = _observed(i, clicks.uv_i, clicks.z_i, clicks.sigma_i)
-    observed_j = _observed(j, clicks.uv_j, clicks.z_j, clicks.sigma_j)
-    p_i, p_j = observed_i.points, observed_j.points
-    known = min(others, key=lambda start: start.sigma, default=None)
-    depth = 0.5 * (i.median_depth_m + j.median_depth_m)
+    """`start_from_clicks`, or None where the clicks determine none."""
     try:
-        fit = dlt.fit(
-            p_i, p_j, None if known is None else known.T_i_j[:3, :3], _inlier_m(i, j, p_i, p_j)
-        )
+        return start_from_clicks(i, j, clicks, others, gravity)
     except DegenerateGeometryError:
         return None
-    if fit.model == "translation":
-        if known is None:
-            return None
-        return OperatorStart(
-            Start("operator", fit.T_a_b, max(known.sigma, 0.03)), None, fit.inliers, fit.model
-        )
-    index = np.nonzero(fit.inliers)[0]
+
+
+def start_from_clicks(
+    i: PreparedView,
+    j: PreparedView,
+    clicks: Clicks,
+    others: Sequence[Start],
+    gravity: Gravity | None = None,
+) -> OperatorStart:
+    """The pose on which most clicks agree, refined anisotropically.
+
+    Three clicks that span a triangle give a full pose; so do two if gravity is known in both views.
+    Fewer, or clicks on one line, give a translation only: the rotation comes from the best other
+    start.
+
+    Raises:
+        DegenerateGeometryError: they determine nothing, or are mirrored or in other units; the text
+            says so.
+    """
+    pairs = point_pairs(i, j, clicks)
+    check_points(pairs.p_a, pairs.p_b)
+    try:
+        agreed = consensus(pairs)
+    except DegenerateGeometryError as error:
+        return _smaller_start(i, j, pairs, others, gravity, error)
+    index = np.nonzero(agreed.inliers)[0]
     refined = refine(
-        observed_i,
-        observed_j,
+        _observed(i, clicks.uv_i, clicks.z_i, clicks.sigma_i),
+        _observed(j, clicks.uv_j, clicks.z_j, clicks.sigma_j),
         np.column_stack((index, index)),
-        fit.T_a_b,
+        agreed.T_a_b,
         NoiseScale(),
         estimate_noise=False,
     )
-    covariance = _covariance(refined)
-    if covariance is None:
-        return None
-    sigma = (
-        float(np.sqrt(np.linalg.eigvalsh(position_covariance(refined.T_i_j, covariance))[-1]))
-        / depth
+    T, covariance = refined.T_i_j, _covariance(refined)
+    if covariance is None:  # it gave up on one that it needs
+        T, covariance = agreed.T_a_b, agreed.covariance
+    fit = dlt.fit(pairs.p_a[index], pairs.p_b[index], largest="projective")
+    start = Start("operator", T, _sigma(i, j, T, covariance))
+    note = agreed.contradiction or fit.note
+    return OperatorStart(
+        start, covariance, agreed.inliers, fit.model, pairs, note, not agreed.contradiction
     )
-    start = Start("operator", refined.T_i_j, float(np.clip(sigma, 0.005, 0.06)))
-    return OperatorStart(start, covariance, fit.inliers, fit.model)
+
+
+def _smaller_start(
+    i: PreparedView,
+    j: PreparedView,
+    pairs: PointPairs,
+    others: Sequence[Start],
+    gravity: Gravity | None,
+    why: DegenerateGeometryError,
+) -> OperatorStart:
+    """What clicks give that do not span a triangle."""
+    if max(dimension(pairs.p_a), dimension(pairs.p_b)) >= 2 and len(pairs) >= _FULL_POSE:
+        raise why
+    everyone = np.ones(len(pairs), bool)
+    if gravity is not None and len(pairs) >= 2:
+        T, covariance = pairs.refined(pose_by_gravity(pairs.p_a, pairs.p_b, gravity), gravity)
+        start = Start("operator", T, _sigma(i, j, T, covariance))
+        return OperatorStart(start, covariance, everyone, "upright", pairs, str(why))
+    if not others:
+        raise why
+    known = min(others, key=lambda start: start.sigma)
+    T = dlt.translation(pairs.p_a, pairs.p_b, known.T_i_j[:3, :3])
+    start = Start("operator", T, max(known.sigma, _TRANSLATION_SIGMA))
+    return OperatorStart(start, None, everyone, "translation", pairs, str(why))
 
 
 def with_operator_fallback(
     result: PairResult, operator: OperatorStart | None, i: PreparedView, j: PreparedView
 ) -> PairResult:
-    """Where features cannot confirm a pose that three clicks determine, the clicks' own pose is
-    plausible.
+    """Where features cannot confirm a pose that the clicks determine, the clicks make it plausible.
 
-    Unless the world contradicts it: the moved cloud is seen through.
+    Of two poses the sharper is taken: what features made of it, if all clicks agree with that, else
+    the clicks' own. Either is as sure as the clicks are, and none is taken that the world
+    contradicts: the moved cloud is seen through. A pose that is no more than plausible yields to
+    clicks that contradict it and agree with each other.
     """
-    if operator is None or operator.covariance is None or operator.inliers.sum() < _FULL_POSE:
+    if operator is None or operator.covariance is None or not operator.alone:
         return result
-    if result.verdict in ("verified", "plausible"):
+    suits = result.T_i_j is not None and operator.suits(result.T_i_j)
+    if result.verdict == "verified" or (result.verdict == "plausible" and suits):
         return result
-    seen = agreement(i.surface, j.surface, operator.start.T_i_j)
-    if seen.through > _MAX_SEEN_THROUGH:
-        reason = f"{seen.through:.0%} of the cloud moved by the correspondences is seen through"
-        return replace(result, reasons=(*result.reasons, reason))
-    return replace(
-        result,
-        T_i_j=operator.start.T_i_j,
-        covariance=operator.covariance,
-        verdict="plausible",
-        reasons=(f"by {int(operator.inliers.sum())} correspondences alone", *result.reasons),
-        overlap=seen.overlap,
-        start="operator",
-    )
+    count = int(operator.inliers.sum())
+    poses = [(operator.start.T_i_j, "operator", f"by {count} correspondences alone")]
+    if result.T_i_j is not None and suits:
+        poses.insert(0, (result.T_i_j, result.start, f"{count} correspondences agree with it"))
+    through = 0.0
+    for T, start, reason in poses:
+        seen = agreement(i.surface, j.surface, T)
+        through = seen.through
+        if through <= _MAX_SEEN_THROUGH:
+            return replace(
+                result,
+                T_i_j=T,
+                covariance=operator.covariance,
+                verdict="plausible",
+                reasons=(reason, *result.reasons),
+                overlap=seen.overlap,
+                start=start,
+            )
+    reason = f"{through:.0%} of the cloud moved by the correspondences is seen through"
+    return replace(result, reasons=(*result.reasons, reason))
+
+
+def point_pairs(i: PreparedView, j: PreparedView, clicks: Clicks) -> PointPairs:
+    """The clicked points of view i (a) and view j (b) with their covariances."""
+    sides = []
+    for view, uv, z, sigma in (
+        (i, clicks.uv_i, clicks.z_i, clicks.sigma_i),
+        (j, clicks.uv_j, clicks.z_j, clicks.sigma_j),
+    ):
+        p = _observed(view, uv, z, sigma).points
+        sides.append((p, covariances(p, view.observed.focal_px, CLICK_SIGMA_PX, sigma)))
+    (p_i, C_i), (p_j, C_j) = sides
+    return PointPairs(p_i, p_j, C_i, C_j)
 
 
 def _observed(view: PreparedView, uv: Floats, z: Floats, sigma: Floats) -> Observed:
     return Observed(view.observed.K, view.observed.size, uv, 1.0 / z, sigma / z**2, CLICK_SIGMA_PX)
 
 
-def _inlier_m(i: PreparedView, j: PreparedView, p_i: Floats, p_j: Floats) -> float:
-    """Three sigma of a click's distance to its counterpart, over the median click."""
-    total = 0.0
-    for view, points in ((i, p_i), (j, p_j)):
-        sigma = view.noise.depth_sigma(points[:, 2])
-        C = covariances(points, view.observed.focal_px, CLICK_SIGMA_PX, sigma)
-        total += float(np.median(np.trace(C, axis1=1, axis2=2)))
-    return 3.0 * float(np.sqrt(total))
+def _sigma(i: PreparedView, j: PreparedView, T: Floats, covariance: Floats) -> float:
+    """How far a start may be off: of its weakest direction, as a share of the depth."""
+    weakest = float(np.sqrt(np.linalg.eigvalsh(position_covariance(T, covariance))[-1]))
+    return float(np.clip(weakest / (0.5 * (i.median_depth_m + j.median_depth_m)), 0.005, 0.06))
 
 
 def _covariance(refined: Refinement) -> Floats | None:

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pose_server.geometry import dlt
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.lift import lift_pixel
 from pose_server.geometry.matching import one_to_one, ratio_matches
@@ -20,7 +19,6 @@ from pose_server.geometry.se3 import (
     make_pose,
     retract,
     rotation_angle,
-    transform,
 )
 from tests.pose_server.scene import K, observed_pair, turned
 
@@ -60,70 +58,6 @@ def test_composed_covariance_is_that_of_many_draws():
     expected = compose_covariance(T_a_b, C_ab, C_bc)
     drawn = np.cov(np.array(errors).T)
     assert np.allclose(drawn, expected, atol=0.1 * np.abs(expected).max())
-
-
-def test_dlt_recovers_an_affine_map_from_four_points():
-    rng = np.random.default_rng(1)
-    H = np.eye(4)
-    H[:3] = rng.normal(0, 1, (3, 4))
-    p_b = rng.normal(0, 3, (4, 3)) + 100.0
-    assert np.allclose(dlt.affine(transform(H, p_b), p_b), H, atol=1e-6)
-
-
-@pytest.mark.parametrize("scale", [0.01, 1.0, 100.0])
-def test_rigid_motion_is_recovered_at_any_scale(scale):
-    rng = np.random.default_rng(2)
-    T = random_pose(rng)
-    T[:3, 3] *= scale
-    p_b = scale * rng.normal(0, 1, (3, 3))
-    found = dlt.fit(transform(T, p_b), p_b)
-    assert found.model == "rigid"
-    assert np.allclose(found.T_a_b, T, atol=1e-6 * max(scale, 1))
-
-
-def test_points_on_a_line_determine_a_translation_only_and_say_so():
-    rng = np.random.default_rng(3)
-    p_b = np.outer(np.arange(5.0), [1.0, 2.0, 0.5])
-    found = dlt.fit(p_b + np.array([1.0, 2.0, 3.0]), p_b)
-    assert found.model == "translation"
-    assert "one line" in found.note
-    assert np.allclose(found.T_a_b[:3, 3], [1, 2, 3])
-    with pytest.raises(DegenerateGeometryError, match="one line"):
-        dlt.rigid(p_b, p_b + rng.normal(0, 1e-6, p_b.shape))
-
-
-def test_points_in_a_plane_step_down_to_a_rigid_motion():
-    rng = np.random.default_rng(4)
-    p_b = np.column_stack((rng.normal(0, 1, (6, 2)), np.zeros(6)))
-    T = random_pose(rng)
-    found = dlt.fit(transform(T, p_b), p_b)
-    assert found.model == "rigid"
-    assert "plane" in found.note
-    assert np.allclose(found.T_a_b, T, atol=1e-8)
-
-
-def test_one_wrong_correspondence_of_five_is_found_and_does_not_move_the_pose():
-    rng = np.random.default_rng(5)
-    T = random_pose(rng)
-    p_b = rng.normal(0, 2, (5, 3))
-    p_a = transform(T, p_b)
-    p_a[3] += [1.5, -1.0, 0.8]
-    found = dlt.fit(p_a, p_b, inlier_m=0.1)
-    assert list(found.inliers) == [True, True, True, False, True]
-    assert np.allclose(found.T_a_b, T, atol=1e-6)
-
-
-@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((3, 3), np.nan)])
-def test_no_or_impossible_points_raise(points):
-    with pytest.raises(DegenerateGeometryError):
-        dlt.fit(points, points)
-
-
-def test_mirrored_points_never_give_a_reflection():
-    rng = np.random.default_rng(6)
-    p = rng.normal(0, 1, (8, 3))
-    found = dlt.fit(p * [-1, 1, 1], p)
-    assert np.linalg.det(found.T_a_b[:3, :3]) == pytest.approx(1.0)
 
 
 def test_refinement_is_as_good_as_its_covariance_says():
@@ -229,3 +163,50 @@ def test_one_to_one_keeps_the_best():
 
 def test_angle_by_chord_is_exact_for_tiny_turns():
     assert rotation_angle(exp_so3(np.array([1e-9, 0, 0]))) == pytest.approx(1e-9, rel=1e-3)
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 10_000), st.floats(0.02, 0.5), st.floats(300, 339), st.floats(200, 239))
+def test_lifting_stays_on_one_side_of_any_edge_and_owns_up_near_it(seed, density, u, v):
+    """Sparse or dense, the depth is one that a surface has, and a doubtful one is unsure."""
+    rng = np.random.default_rng(seed)
+    uv, z = grid(lambda uv: np.where(uv[:, 0] + 0.3 * uv[:, 1] < 386, 2.0, 5.0))
+    some = rng.random(len(z)) < density
+    try:
+        lifted = lift_pixel(np.array([u, v]), uv[some], z[some], K, NOISE, 6.0)
+    except DegenerateGeometryError as error:
+        assert "px away" in str(error) or "no depth" in str(error)
+        return
+    miss = min(abs(lifted.p[2] - 2.0), abs(lifted.p[2] - 5.0))
+    assert miss < 1e-6
+    truth = 2.0 if u + 0.3 * v < 386 else 5.0
+    assert abs(lifted.p[2] - truth) < 6 * lifted.sigma_z
+    assert np.linalg.eigvalsh(lifted.C)[0] > 0
+
+
+def test_a_lone_wrong_depth_under_the_click_is_outvoted():
+    uv, z = grid(lambda uv: np.full(len(uv), 3.0))
+    z[(uv == [320, 220]).all(axis=1)] = 7.0
+    assert lift_pixel(np.array([320.0, 220.0]), uv, z, K, NOISE, 2.0).p[2] == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 0.0, -1.0])
+def test_what_is_no_depth_is_not_lifted(bad):
+    uv, z = grid(lambda uv: np.full(len(uv), 3.0))
+    z[uv[:, 0] < 330] = bad
+    assert lift_pixel(np.array([329.0, 220.0]), uv, z, K, NOISE, 2.0).p[2] == pytest.approx(3.0)
+    with pytest.raises(DegenerateGeometryError, match="10 px away"):
+        lift_pixel(np.array([320.0, 220.0]), uv, z, K, NOISE, 2.0)
+    with pytest.raises(DegenerateGeometryError, match="not finite"):
+        lift_pixel(np.array([np.nan, 220.0]), uv, z, K, NOISE, 2.0)
+
+
+def test_lifting_is_the_same_at_any_scale_of_the_scene():
+    uv, z = grid(lambda uv: 1.0 / (0.4 + 0.0005 * (uv[:, 0] - 320)))
+    at = np.array([317.4, 222.7])
+    one = lift_pixel(at, uv, z, K, NOISE, 2.0)
+    for scale in (1e-2, 1e3):
+        noise = PointNoise(0.5, (0.0, 0.0, 0.001 / scale))
+        other = lift_pixel(at, uv, scale * z, K, noise, 2.0)
+        assert np.allclose(other.p, scale * one.p)
+        assert np.allclose(other.C, scale**2 * one.C, rtol=0.02)

@@ -1,0 +1,176 @@
+"""Which correspondences agree with each other, and the pose that those determine.
+
+A person may click a wrong point. Every explanation "these are right, the others wrong" is tried:
+the pose of the right ones is refined with their covariances, and its cost is the sum of their
+squared Mahalanobis distances and a price for each one called wrong, as in MSAC (Torr and Zisserman
+2000) but over all sets where they are few instead of a random sample.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+from math import comb
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from pose_server.geometry.dlt import rigid_unchecked, scale_between
+from pose_server.geometry.errors import DegenerateGeometryError
+from pose_server.geometry.point_pairs import PointPairs
+from pose_server.geometry.spread import check_points, dimension, need_dimension
+
+Floats = npt.NDArray[np.floating]
+Bools = npt.NDArray[np.bool_]
+
+OUTLIER_CHI2 = 16.3  # 3 dof, 99.9 %
+_CONTRADICTION = 1e-4  # share of right sets that are more at odds with themselves
+_ALL_SETS_UP_TO = 130  # explanations; beyond, they grow from drawn triples
+_DRAWN_TRIPLES = 40  # a fifth of them wrong: half of all triples are right
+
+
+@dataclass(frozen=True, eq=False)
+class Consensus:
+    """The pose of those correspondences that agree.
+
+    Attributes:
+        T_a_b: (4, 4).
+        covariance: (6, 6), left, rotation first.
+        inliers: (N,) which agree.
+        distance2: (N,) squared Mahalanobis distances at the pose, 3 dof; for the outliers, the
+            pose's own covariance is allowed for.
+        contradiction: empty, or how the inliers contradict each other: no pose suits them.
+    """
+
+    T_a_b: Floats
+    covariance: Floats
+    inliers: Bools
+    distance2: Floats
+    contradiction: str = ""
+
+
+def consensus(pairs: PointPairs, price: float = OUTLIER_CHI2) -> Consensus:
+    """The explanation with the lowest cost; more than half, and three at least, must be right.
+
+    Raises:
+        DegenerateGeometryError: not finite; no three correspondences that span a triangle; one
+            frame is the mirror image of the other or in other units.
+    """
+    check_points(pairs.p_a, pairs.p_b)
+    scale_between(pairs.p_a, pairs.p_b)
+    T, covariance, right = _best_explanation(pairs, price)
+    distance2 = np.where(right, pairs.distance2(T), pairs.distance2(T, covariance))
+    contradiction = _contradiction(distance2[right])
+    if contradiction or not right.all():
+        _refuse_mirror_image(pairs)
+    return Consensus(T, covariance, right, distance2, contradiction)
+
+
+def pose_of(pairs: PointPairs) -> tuple[Floats, Floats]:
+    """T_a_b (4, 4) and its covariance (6, 6) from three correspondences or more, all right.
+
+    Raises:
+        DegenerateGeometryError: fewer than three, or all on one line.
+    """
+    need_dimension(2, pairs.p_a, pairs.p_b)
+    return pairs.refined(rigid_unchecked(pairs.p_a, pairs.p_b))
+
+
+def _best_explanation(pairs: PointPairs, price: float) -> tuple[Floats, Floats, Bools]:
+    """Pose, covariance and mask of the cheapest explanation.
+
+    Raises:
+        DegenerateGeometryError: none has a pose; the text is that of the first, which takes all
+            correspondences as right.
+    """
+    best, lowest, why = None, np.inf, f"{len(pairs)} correspondences, need 3"
+    tried: set[bytes] = set()
+    for right in _explanations(pairs):
+        paid = price * int((~right).sum())
+        if paid >= lowest or right.tobytes() in tried:
+            continue  # its price alone is more than another's whole cost
+        tried.add(right.tobytes())
+        try:
+            T, covariance = pose_of(pairs[right])
+        except DegenerateGeometryError as error:
+            why = str(error) if len(tried) == 1 else why
+            continue
+        cost = float(pairs[right].distance2(T).sum()) + paid
+        if cost < lowest:
+            best, lowest = (T, covariance, right), cost
+    if best is None:
+        raise DegenerateGeometryError(why)
+    return best
+
+
+def _contradiction(distance2: Floats) -> str:
+    """Whether the residuals of the pose's own points are too large by chance."""
+    dof, total = 3 * len(distance2) - 6, float(distance2.sum())
+    limit = float(chi2.isf(_CONTRADICTION, dof))
+    if total <= limit:
+        return ""
+    return (
+        f"{len(distance2)} correspondences contradict each other: chi-square {total:.0f}, "
+        f"at most {limit:.0f}"
+    )
+
+
+def _refuse_mirror_image(pairs: PointPairs) -> None:
+    """Where no rotation suits all correspondences, a reflection must not suit them."""
+    if min(dimension(pairs.p_a), dimension(pairs.p_b)) < 3:
+        return  # flat sets are their own mirror images
+    flip = np.diag([-1.0, 1.0, 1.0])
+    mirrored = PointPairs(pairs.p_a, pairs.p_b @ flip, pairs.C_a, flip @ pairs.C_b @ flip)
+    T, _ = pose_of(mirrored)
+    if not _contradiction(mirrored.distance2(T)):
+        raise DegenerateGeometryError(
+            f"one frame is the mirror image of the other: a reflection suits all {len(pairs)} "
+            "correspondences, no rotation does"
+        )
+
+
+def _explanations(pairs: PointPairs) -> Iterator[Bools]:
+    """(N,) masks of correspondences that may be the right ones."""
+    n = len(pairs)
+    most_wrong = min((n - 1) // 2, n - 3)
+    if n < 3:
+        return
+    if sum(comb(n, k) for k in range(most_wrong + 1)) <= _ALL_SETS_UP_TO:
+        for wrong in range(most_wrong + 1):
+            for chosen in combinations(range(n), wrong):
+                right = np.ones(n, bool)
+                right[list(chosen)] = False
+                yield right
+        return
+    everyone = np.ones(n, bool)
+    yield everyone
+    if _agree(pairs):
+        return
+    rng = np.random.default_rng(0)  # by chance, but the same every time
+    for _ in range(_DRAWN_TRIPLES):
+        right = _grown(pairs, rng.choice(n, 3, replace=False))
+        if right is not None and 2 * right.sum() > n:
+            yield right
+
+
+def _agree(pairs: PointPairs) -> bool:
+    """Whether all of many correspondences agree: none stands out."""
+    try:
+        T, _ = pose_of(pairs)
+    except DegenerateGeometryError:
+        return False
+    return bool((pairs.distance2(T) < OUTLIER_CHI2).all())
+
+
+def _grown(pairs: PointPairs, triple: npt.NDArray[np.int64]) -> Bools | None:
+    """What agrees with three, then with all of these."""
+    index: npt.NDArray[np.int64] | Bools = triple
+    for _ in range(3):
+        try:
+            T, covariance = pose_of(pairs[index])
+        except DegenerateGeometryError:
+            return None
+        index = pairs.distance2(T, covariance) < OUTLIER_CHI2
+        if index.sum() < 3:
+            return None
+    return np.asarray(index, bool)

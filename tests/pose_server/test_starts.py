@@ -1,0 +1,112 @@
+"""The operator's start: what clicks give, what they do not, and who is to be believed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pose_server.geometry.errors import DegenerateGeometryError
+from pose_server.geometry.gravity import Gravity
+from pose_server.geometry.se3 import inverse, retract, rotation_angle, transform
+from pose_server.pairs.align import Start
+from pose_server.pairs.judging import PairResult
+from pose_server.pairs.starts import (
+    Clicks,
+    operator_start,
+    start_from_clicks,
+    with_operator_fallback,
+)
+from pose_server.pairs.views import prepare_view
+from tests.pose_server.scene import pair_of_views, turned
+
+T_TRUE = turned(50)
+POINTS = np.array([[-3, -2, 9], [3, -2, 11], [0, 2.5, 10], [-2, 2, 11.5], [2.5, 1, 8.5]], float)
+I, J = (prepare_view(v) for v in pair_of_views(np.random.default_rng(0), T_TRUE))  # noqa: E741
+UNDETERMINED = PairResult(None, None, "rejected", ("no start",))
+
+
+def clicked(points: np.ndarray, T_i_j: np.ndarray = T_TRUE) -> Clicks:
+    """Exact clicks, depths known to 10 cm."""
+    at_j = transform(inverse(T_i_j), points)
+    K = I.observed.K
+    uv_i, uv_j = ((p @ K.T)[:, :2] / p[:, 2:] for p in (points, at_j))
+    sigma = np.full(len(points), 0.1)
+    return Clicks(uv_i, uv_j, points[:, 2], at_j[:, 2], sigma, sigma)
+
+
+def slipped(clicks: Clicks, k: int, by_px: tuple[float, float]) -> Clicks:
+    uv_j = clicks.uv_j.copy()
+    uv_j[k] += by_px
+    return replace(clicks, uv_j=uv_j)
+
+
+@pytest.mark.parametrize("wrong", range(5))
+def test_a_wrong_click_of_five_is_named_and_does_not_move_the_start(wrong):
+    found = start_from_clicks(I, J, slipped(clicked(POINTS), wrong, (40, -30)), ())
+    assert list(np.nonzero(~found.inliers)[0]) == [wrong]
+    assert np.allclose(found.start.T_i_j, T_TRUE, atol=1e-3)
+
+
+def test_the_model_is_what_the_points_determine():
+    models = {n: start_from_clicks(I, J, clicked(POINTS[:n]), ()).model for n in (3, 4, 5)}
+    assert models == {3: "rigid", 4: "affine", 5: "projective"}
+
+
+def test_two_clicks_and_gravity_give_a_start():
+    up_j = np.array([0.0, -1.0, 0.0])
+    gravity = Gravity(T_TRUE[:3, :3] @ up_j, up_j)
+    with pytest.raises(DegenerateGeometryError, match="2 correspondences"):
+        start_from_clicks(I, J, clicked(POINTS[:2]), ())
+    found = start_from_clicks(I, J, clicked(POINTS[:2]), (), gravity)
+    assert found.model == "upright" and not found.alone
+    assert np.allclose(found.start.T_i_j, T_TRUE, atol=1e-3)
+
+
+def test_clicks_on_a_line_take_the_rotation_from_elsewhere_or_give_nothing():
+    line = np.linspace(POINTS[0], POINTS[1], 4)
+    with pytest.raises(DegenerateGeometryError, match="one line"):
+        start_from_clicks(I, J, clicked(line), ())
+    found = start_from_clicks(I, J, clicked(line), [Start("graph", T_TRUE, 0.02)])
+    assert found.model == "translation" and "one line" in found.note
+    assert np.allclose(found.start.T_i_j, T_TRUE, atol=1e-6)
+
+
+def test_millimetres_and_what_is_not_finite_are_named():
+    clicks = clicked(POINTS)
+    with pytest.raises(DegenerateGeometryError, match="metres"):
+        start_from_clicks(I, J, replace(clicks, z_j=1e3 * clicks.z_j), ())
+    with pytest.raises(DegenerateGeometryError, match="not finite"):
+        start_from_clicks(I, J, replace(clicks, z_j=np.full(5, np.nan)), ())
+    assert operator_start(I, J, replace(clicks, z_j=np.full(5, np.nan)), ()) is None
+
+
+def test_clicks_that_contradict_each_other_never_stand_alone():
+    clicks = slipped(clicked(POINTS[:3]), 0, (200, 150))
+    found = start_from_clicks(I, J, clicks, ())
+    assert "contradict" in found.note
+    assert with_operator_fallback(UNDETERMINED, found, I, J) == UNDETERMINED
+
+
+def test_what_features_made_of_the_clicks_is_kept_where_the_clicks_agree_with_it():
+    rng = np.random.default_rng(1)
+    noisy = clicked(POINTS[:3])
+    noisy = replace(noisy, z_i=noisy.z_i + rng.normal(0, 0.1, 3))
+    operator = start_from_clicks(I, J, noisy, ())
+    assert rotation_angle(operator.start.T_i_j[:3, :3].T @ T_TRUE[:3, :3]) > 1e-3
+    weak = PairResult(T_TRUE, None, "rejected", ("only 6 matches agree, need 8",), start="features")
+    found = with_operator_fallback(weak, operator, I, J)
+    assert found.verdict == "plausible" and found.T_i_j is T_TRUE
+    assert found.covariance is operator.covariance
+    far = retract(T_TRUE, np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    own = with_operator_fallback(replace(weak, T_i_j=far), operator, I, J)
+    assert own.T_i_j is operator.start.T_i_j and own.start == "operator"
+
+
+def test_a_plausible_pose_yields_to_clicks_that_contradict_it_and_a_verified_one_does_not():
+    operator = start_from_clicks(I, J, clicked(POINTS), ())
+    far = retract(T_TRUE, np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    for verdict, T in (("verified", far), ("plausible", operator.start.T_i_j)):
+        result = PairResult(far, np.eye(6), verdict, ("some matches agree",), start="features")
+        assert with_operator_fallback(result, operator, I, J).T_i_j is T
+    near = PairResult(T_TRUE, np.eye(6), "plausible", ("some",), start="features")
+    assert with_operator_fallback(near, operator, I, J) is near
