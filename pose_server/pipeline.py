@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pose_server.alarms import note_depths
 from pose_server.clicks import click_factors, clicks_between, judge
 from pose_server.correspondences.book import Outcome
 from pose_server.fleet.graph import solve_fleet
@@ -284,6 +285,7 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
     if done.result is None:
         site.say(f"alignment of {i} and {j} failed: {done.error}")
         return
+    note_depths(site, done)
     record.tried.setdefault((i, j), set()).add(done.job.purpose)
     record.last, record.last_views = done.result, (i, j)
     if _is_better(done.result, record.best):

@@ -11,7 +11,7 @@ import time
 from concurrent.futures import Future
 from contextlib import suppress
 
-from pose_server import answers, pipeline, publish
+from pose_server import alarms, answers, pipeline, publish
 from pose_server.awaiting import Awaiting
 from pose_server.correspondences.book import Outcome
 from pose_server.correspondences.journal import Journal, StoredView
@@ -311,6 +311,7 @@ class Service:
         if self._due("state", 1.0 / self.settings.state_hz):
             self._publish_state()
         if self._due("status", _STATUS_S):
+            alarms.judge_calibrations(self.site)
             drops = {
                 **self._drops.snapshot(),
                 "newer_view": self._clouds.replaced,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from pose_server.calibration.memory import Memory
 from pose_server.correspondences.book import Book
 from pose_server.fleet.types import Edge, EdgeKey, FleetSolution
 from pose_server.geometry.se3 import (
@@ -25,7 +26,7 @@ from pose_server.pairs.tracking import Attached, Track
 from pose_server.views import KeptView, ViewStore, same_camera
 from protocol.errors import FleetPoseError
 from protocol.keys import ordered_pair
-from protocol.messages import Camera, RobotPose, ViewName
+from protocol.messages import Alarm, Camera, RobotPose, ViewName
 
 Floats = npt.NDArray[np.floating]
 PINNED_S = 60.0  # a client repeats what it holds every few seconds
@@ -128,6 +129,8 @@ class Site:
     Attributes:
         pins: by operator and session.
         held_back: the newest view of each name whose token was not seen yet.
+        depths: what pairs say of the robots' depths.
+        alarms_told: robots and kinds of alarms that were an event already.
     """
 
     book: Book
@@ -152,6 +155,9 @@ class Site:
     similarities: dict[ViewPair, float] = field(default_factory=dict)
     components: dict[str, str] = field(default_factory=dict)
     lifter: Lifter = field(default_factory=Lifter)
+    depths: Memory = field(default_factory=Memory)
+    alarms: tuple[Alarm, ...] = ()
+    alarms_told: set[tuple[str, str]] = field(default_factory=set)
 
     def robot(self, name: str) -> Robot:
         """The robot's record, made when first heard of."""
@@ -245,6 +251,8 @@ class Site:
         told = []
         if before is not None and not same_camera(before, view.camera):
             told.append(f"{robot.name} has another calibration from its view {view.name.seq} on")
+            self.depths.forget(robot.name)
+            self.alarms_told = {of for of in self.alarms_told if of[0] != robot.name}
         if back_s > 0:
             told.append(f"the clock of {robot.name} went back by {back_s:.1f} s")
         robot.camera, robot.stamp_ns = view.camera, view.stamp_ns

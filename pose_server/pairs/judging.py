@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from pose_server.calibration.compare import DepthErrors
 from pose_server.geometry import robust
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.evidence import Agreement
@@ -26,7 +27,7 @@ COVARIANCE_FLOOR = 3e-4
 @dataclass(frozen=True)
 class PairResult:
     """An alignment and how good it is. Poses are camera j in camera i, covariances left, rotation
-    first.
+    first. `depths` tells how the depths of both views fit each other, whatever the verdict.
     """
 
     T_i_j: Floats | None
@@ -41,6 +42,7 @@ class PairResult:
     start: str = "none"
     evidence: Evidence | None = None
     timings_ms: dict[str, float] = field(default_factory=dict)
+    depths: DepthErrors | None = None
 
 
 def judged(pair: Pair, T: Floats, start: str) -> PairResult:
