@@ -1,5 +1,7 @@
 """Alarms about the robots' calibrations: what the comparisons of their depths say, in words."""
 
+import logging
+
 import numpy as np
 
 from pose_server.calibration.findings import (
@@ -15,6 +17,8 @@ from pose_server.calibration.memory import Said
 from pose_server.pairs.engine import Done
 from pose_server.site import Site
 from protocol.messages import Alarm, Camera, ViewName
+
+log = logging.getLogger("pose_server")
 
 _NEAR_S = 2.0  # views that tell how fast a robot went are no farther apart
 _CHECK = "`robot-agent calibrate-check`"
@@ -39,6 +43,7 @@ def judge_calibrations(site: Site) -> None:
         if (alarm.robot, alarm.kind) not in site.alarms_told:
             site.alarms_told.add((alarm.robot, alarm.kind))
             site.say(alarm.text)
+            log.warning("alarm robot=%s kind=%s text=%s", alarm.robot, alarm.kind, alarm.text)
 
 
 def pace(site: Site, view: ViewName) -> float:

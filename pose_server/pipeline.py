@@ -244,8 +244,8 @@ def _click_job(site: Site) -> Job | None:
         record.running = True
         return Job(
             "clicks",
-            site.views[i].encoded,
-            site.views[j].encoded,
+            site.encoded(i),
+            site.encoded(j),
             starts=_known_starts(site, i, j),
             features=(a, b) not in site.skip,
             clicks=clicks,
@@ -266,7 +266,7 @@ def _pair_job(site: Site, now_s: float, joining: bool) -> Job | None:
     record.waiting_since_s = None
     site.max_wait_s = max(site.max_wait_s, waited_s)
     i, j = views
-    return Job("pair", site.views[i].encoded, site.views[j].encoded, _known_starts(site, i, j))
+    return Job("pair", site.encoded(i), site.encoded(j), _known_starts(site, i, j))
 
 
 def _known_starts(site: Site, i: ViewName, j: ViewName) -> tuple[Start, ...]:

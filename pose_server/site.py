@@ -2,7 +2,7 @@
 the solution.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,7 @@ from pose_server.geometry.se3 import (
     position_covariance,
 )
 from pose_server.lifting import Lifter
+from pose_server.pairs.engine import EncodedView
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.schedule import RoundRobin
 from pose_server.pairs.tracking import Attached, Track
@@ -205,6 +206,10 @@ class Site:
     def keyframes(self) -> list[ViewName]:
         """Of all robots."""
         return [keyframe for robot in self.robots.values() for keyframe in robot.track.keyframes]
+
+    def encoded(self, view: ViewName) -> EncodedView:
+        """A view for a worker that aligns two robots, without what moves in it."""
+        return replace(self.views[view].encoded, mask=self.robot(view.robot).track.masks.get(view))
 
     def attached(self, view: ViewName) -> Attached | None:
         """Where a view hangs."""

@@ -119,12 +119,14 @@ def bend_of(
     # robustly, from the surest partner on: a pair may have matched two copies of one thing
     value = values[np.linalg.det(information).argmax()]
     for _ in range(_ROUNDS):
-        weight, excess = _weights(values - value, information)
+        weight = _weights(values - value, information)
         total = np.einsum("p,pkl->kl", weight, information)
         value = np.linalg.solve(total, np.einsum("p,pkl,pl->k", weight, information, values))
-    weight, excess = _weights(values - value, information)
-    covariance = excess * np.linalg.inv(np.einsum("p,pkl->kl", weight, information))
-    sigma = np.sqrt(np.diag(covariance))
+    off = values - value
+    weight = _weights(off, information)
+    sigma = np.sqrt(np.diag(np.linalg.inv(np.einsum("p,pkl->kl", weight, information))))
+    stated = np.sqrt([np.diag(covariance + floor) for _, covariance in said.values()])
+    sigma = sigma * np.maximum(1.0, _MAD_SIGMA * np.median(np.abs(off) / stated, axis=0))
     agree = int((weight > 0.25).sum())
     clear = np.where(np.abs(value) > _SIGMAS * sigma, value, 0.0)
     if agree < 2 or 2 * agree <= len(values) or _over_image(clear) < least * inverse_depth:
@@ -164,11 +166,11 @@ def time_offset(scales: Floats, sigmas: Floats, rates: Floats) -> Estimate | Non
     return estimate if clear else None
 
 
-def _weights(off: Floats, information: Floats) -> tuple[Floats, float]:
-    """Geman-McClure weights (P,) of residuals (P, 3), and by how much these exceed their noise."""
+def _weights(off: Floats, information: Floats) -> Floats:
+    """Geman-McClure weights (P,) of residuals (P, 3), which may exceed their noise."""
     distance = np.einsum("pk,pkl,pl->p", off, information, off)
     excess = max(1.0, float(np.median(distance)) / _MEDIAN_CHI2_3)
-    return 1.0 / (1.0 + distance / (_GEMAN_MCCLURE * excess)) ** 2, excess
+    return 1.0 / (1.0 + distance / (_GEMAN_MCCLURE * excess)) ** 2
 
 
 def _is_off(estimate: Estimate) -> bool:

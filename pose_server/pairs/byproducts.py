@@ -1,25 +1,34 @@
-"""What an alignment adds to the robots' calibrations: whether the depths of both views fit."""
+"""What an alignment tells besides the pose: whether the depths of two robots' views fit each other,
+and what moves in two views of one robot.
+"""
+
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from pose_server.calibration.compare import DepthErrors, compare_depths
 from pose_server.pairs.judging import PairResult
+from pose_server.pairs.moving import moving_masks
 from pose_server.pairs.pair import Pair
 from pose_server.pairs.views import PreparedView
 
 _FAR = 0.5  # median depth over depth
 
 
-def depths_of(pair: Pair, result: PairResult | None = None) -> DepthErrors | None:
+def with_byproducts(pair: Pair, result: PairResult) -> PairResult:
+    """The result with what else the two views tell."""
+    if pair.i.name.robot == pair.j.name.robot:
+        return replace(result, moving=moving_masks(pair, result))
+    return replace(result, depths=depths_of(pair, result))
+
+
+def depths_of(pair: Pair, result: PairResult) -> DepthErrors | None:
     """Compares the depths of two robots' views at their pose, or, where the alignment has none to
     trust, at the one that their pixels find: wrong depths are a reason for having none.
     """
-    if pair.i.name.robot == pair.j.name.robot:
-        return None
     matches = pair.ratio[_near(pair.i, pair.ratio[:, 0]) | _near(pair.j, pair.ratio[:, 1])]
-    trusted = result is not None and result.verdict == "verified"
-    T_i_j = result.T_i_j if trusted and result is not None else None
+    T_i_j = result.T_i_j if result.verdict == "verified" else None
     return compare_depths(pair.i.observed, pair.j.observed, matches, T_i_j)
 
 
