@@ -34,6 +34,9 @@ def note_depths(site: Site, done: Done) -> None:
 
 def judge_calibrations(site: Site) -> None:
     """Renews the alarms; a new one is an event as well."""
+    if not site.depths.changed:
+        return
+    site.depths.changed = False
     alarms = _of_bends(site)
     bent = {alarm.robot for alarm in alarms}
     alarms += _of_scales(site, bent)

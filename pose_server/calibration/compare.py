@@ -23,7 +23,8 @@ _MOST_MATCHES = 200  # more say little more
 _PRIOR_SCALE = 0.3  # sigma of each view's scale
 _PRIOR_BEND = 0.2  # of offset and slopes, as a share of the inverse depth
 _NO_BEND = 0.002  # the same, of a view whose depths do not bend: then the scale is known better
-_ITERATIONS, _LOOSE = 8, 4.0  # the first iterations take larger errors for good
+_ITERATIONS, _LOOSE_ITERATIONS, _LOOSE = 9, 3, 4.0  # the first ones take larger errors for good
+_SETTLED_SIGMAS = 0.05
 _NOISE_FLOOR = 1.0  # noise that is smaller than stated is taken for luck
 _GEMAN_MCCLURE = 9.0
 _MEDIAN_CHI2_3 = 2.366
@@ -168,13 +169,15 @@ def _compared(i: Observed, j: Observed, matches: Indices, T_i_j: Floats) -> Dept
     prior[7:10] = prior[11:] = (_PRIOR_BEND * medians.max()) ** -2.0  # one may be far too small
     T, errors = T_i_j, _first_errors(matched, T_i_j)
     for step in range(_ITERATIONS):
-        depth_noise = _LOOSE if step < _ITERATIONS // 2 else 1.0
+        depth_noise = _LOOSE if step < _LOOSE_ITERATIONS else 1.0
         gradient, H, _ = _normal_equations(matched, T, errors, prior, depth_noise)
         if not np.isfinite(H).all():
             return None
         increment = -np.linalg.solve(H, gradient)
         increment *= min(1.0, 0.3 / max(float(np.linalg.norm(increment[:3])), 1e-9))
         T, errors = retract(T, increment[:6]), errors + increment[6:]
+        if depth_noise == 1.0 and increment @ H @ increment < _SETTLED_SIGMAS**2:
+            break
     _, H, good = _normal_equations(matched, T, errors, prior, 1.0)
     if good < LEAST_MATCHES or not np.isfinite(H).all():
         return None

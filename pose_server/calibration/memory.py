@@ -29,12 +29,18 @@ class Said:
 
 @dataclass
 class Memory:
-    """The newest comparisons of every two robots; the oldest partners of a robot make room."""
+    """The newest comparisons of every two robots; the oldest partners of a robot make room.
 
+    Attributes:
+        changed: whether anything was said or forgotten since it was set to false.
+    """
+
+    changed: bool = False
     _pairs: dict[RobotPair, deque[Said]] = field(default_factory=dict)
 
     def note(self, i: str, j: str, said: Said) -> None:
         """Keeps a comparison of a view of robot i with one of robot j."""
+        self.changed = True
         if j < i:
             said = Said(said.errors.swapped(), said.rate_j, said.rate_i)
             i, j = j, i
@@ -48,6 +54,7 @@ class Memory:
 
     def forget(self, robot: str) -> None:
         """Drops what was said of a robot: it has another calibration now."""
+        self.changed = True
         self._pairs = {pair: said for pair, said in self._pairs.items() if robot not in pair}
 
     @property

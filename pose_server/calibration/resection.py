@@ -13,7 +13,7 @@ from pose_server.geometry.se3 import transform
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
-_TRIANGLES = 200  # of three matches; with a third of them right, seven are right as a whole
+_TRIANGLES = 150  # of three matches; with a third of them right, five are right as a whole
 _NEAR_PX_PER_FOCAL = 0.006  # what counts as the same pixel, as a share of the focal length
 _LARGEST_ANGLE = 0.9999  # cosine of two rays that are too close to tell
 
