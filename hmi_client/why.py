@@ -52,6 +52,7 @@ def why_record(
         "pairs": [pair_of(session, robot, c, alignments.get((c.i, c.j))) for c in known],
         "untried": len(cells) - len(known),
         "question": question_of(session, robot),
+        "alarms": alarms_of(session, robot),
     }
     return record | {"next": next_for(record)}
 
@@ -82,6 +83,11 @@ def pair_of(
     }
 
 
+def alarms_of(session: OperatorSession, robot: str) -> list[str]:
+    """What the server says of a robot's calibration."""
+    return [a.text for a in (session.fleet.alarms if session.fleet else ()) if a.robot == robot]
+
+
 def question_of(session: OperatorSession, robot: str) -> Record | None:
     """The server's best question that concerns a robot, and its rank."""
     questions = session.fleet.questions if session.fleet else ()
@@ -98,6 +104,8 @@ def next_for(record: Record) -> str:
         return f"start its agent, or check its network: robot-agent run --name {robot} ..."
     if record["newest_view"] is None:
         return "check that its camera runs and that it may publish under its name"
+    if record["alarms"]:
+        return "look after its calibration, as the alarm says: clicks do not make up for it"
     outliers = [pair["other"] for pair in record["pairs"] if _outliers(pair)]
     if outliers and not record["located"]:
         i, j = ordered_pair(robot, outliers[0])
@@ -129,6 +137,7 @@ def why_text(record: Record) -> str:
     verdict = "is located" if record["located"] else "is not located"
     reason = record["reason"] or ("" if record["located"] else "the server gives no reason")
     parts = [f"{robot} {verdict}" + (f": {reason}" if reason else "")]
+    parts += [f"alarm: {text}" for text in record["alarms"]]
     parts.append(_presence(record))
     rows = [_row(pair) for pair in record["pairs"][:SHOWN_PAIRS]]
     if rows:

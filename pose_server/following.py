@@ -81,6 +81,8 @@ def followed(site: Site, done: Done) -> None:
         return
     step = "try"
     if done.result is not None:
+        masks = zip((keyframe, view), done.result.moving, strict=True)
+        robot.track.masks |= {name: mask for name, mask in masks if mask is not None}
         depth = site.views[view].median_depth_m
         nearer = None if past else _nearer_keyframe(site, robot, keyframe, done.result, depth)
         step = robot.track.take(view, keyframe, done.result, depth, nearer)

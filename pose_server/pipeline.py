@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pose_server.alarms import note_depths
 from pose_server.clicks import click_factors, clicks_between, judge
 from pose_server.correspondences.book import Outcome
 from pose_server.fleet.graph import solve_fleet
@@ -243,8 +244,8 @@ def _click_job(site: Site) -> Job | None:
         record.running = True
         return Job(
             "clicks",
-            site.views[i].encoded,
-            site.views[j].encoded,
+            site.encoded(i),
+            site.encoded(j),
             starts=_known_starts(site, i, j),
             features=(a, b) not in site.skip,
             clicks=clicks,
@@ -265,7 +266,7 @@ def _pair_job(site: Site, now_s: float, joining: bool) -> Job | None:
     record.waiting_since_s = None
     site.max_wait_s = max(site.max_wait_s, waited_s)
     i, j = views
-    return Job("pair", site.views[i].encoded, site.views[j].encoded, _known_starts(site, i, j))
+    return Job("pair", site.encoded(i), site.encoded(j), _known_starts(site, i, j))
 
 
 def _known_starts(site: Site, i: ViewName, j: ViewName) -> tuple[Start, ...]:
@@ -284,6 +285,7 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
     if done.result is None:
         site.say(f"alignment of {i} and {j} failed: {done.error}")
         return
+    note_depths(site, done)
     record.tried.setdefault((i, j), set()).add(done.job.purpose)
     record.last, record.last_views = done.result, (i, j)
     if _is_better(done.result, record.best):

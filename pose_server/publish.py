@@ -210,6 +210,7 @@ def fleet_state(site: Site, settings: ServerSettings, stamp: Stamp, n: int) -> F
         questions=questions(site),
         events=tuple(site.events),
         pinned=site.pinned(),
+        alarms=site.alarms,
     )
 
 

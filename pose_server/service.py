@@ -11,7 +11,7 @@ import time
 from concurrent.futures import Future
 from contextlib import suppress
 
-from pose_server import answers, pipeline, publish
+from pose_server import alarms, answers, pipeline, publish
 from pose_server.awaiting import Awaiting
 from pose_server.correspondences.book import Outcome
 from pose_server.correspondences.journal import Journal, StoredView
@@ -38,6 +38,7 @@ log = logging.getLogger("pose_server")
 _TICK_S = 0.05
 _PRUNE_S = 2.0
 _STATUS_S = 1.0
+_ALARMS_S = 5.0
 _SOLVE_SHARE = 0.25  # of the server's own thread that solving may take
 _LONGEST_PAUSE_S = 1.0  # but poses must not wait longer for the next solution
 _STATE_SHARE = 0.1  # and making the fleet's state
@@ -318,6 +319,8 @@ class Service:
             }
             status = server_status(self.site, self._engine, self._load, self._stamp(), drops)
             self._put(self.keys.status, status)
+        if self._due("alarms", _ALARMS_S):
+            alarms.judge_calibrations(self.site)
         if self._due("prune", _PRUNE_S):
             self._prune()
 

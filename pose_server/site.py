@@ -2,11 +2,12 @@
 the solution.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from pose_server.calibration.memory import Memory
 from pose_server.correspondences.book import Book
 from pose_server.fleet.types import Edge, EdgeKey, FleetSolution
 from pose_server.geometry.se3 import (
@@ -19,13 +20,14 @@ from pose_server.geometry.se3 import (
     position_covariance,
 )
 from pose_server.lifting import Lifter
+from pose_server.pairs.engine import EncodedView
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.schedule import RoundRobin
 from pose_server.pairs.tracking import Attached, Track
 from pose_server.views import KeptView, ViewStore, same_camera
 from protocol.errors import FleetPoseError
 from protocol.keys import ordered_pair
-from protocol.messages import Camera, RobotPose, ViewName
+from protocol.messages import Alarm, Camera, RobotPose, ViewName
 
 Floats = npt.NDArray[np.floating]
 PINNED_S = 60.0  # a client repeats what it holds every few seconds
@@ -128,6 +130,8 @@ class Site:
     Attributes:
         pins: by operator and session.
         held_back: the newest view of each name whose token was not seen yet.
+        depths: what pairs say of the robots' depths.
+        alarms_told: robots and kinds of alarms that were an event already.
     """
 
     book: Book
@@ -152,6 +156,9 @@ class Site:
     similarities: dict[ViewPair, float] = field(default_factory=dict)
     components: dict[str, str] = field(default_factory=dict)
     lifter: Lifter = field(default_factory=Lifter)
+    depths: Memory = field(default_factory=Memory)
+    alarms: tuple[Alarm, ...] = ()
+    alarms_told: set[tuple[str, str]] = field(default_factory=set)
 
     def robot(self, name: str) -> Robot:
         """The robot's record, made when first heard of."""
@@ -200,6 +207,10 @@ class Site:
         """Of all robots."""
         return [keyframe for robot in self.robots.values() for keyframe in robot.track.keyframes]
 
+    def encoded(self, view: ViewName) -> EncodedView:
+        """A view for a worker that aligns two robots, without what moves in it."""
+        return replace(self.views[view].encoded, mask=self.robot(view.robot).track.masks.get(view))
+
     def attached(self, view: ViewName) -> Attached | None:
         """Where a view hangs."""
         robot = self.robots.get(view.robot)
@@ -245,6 +256,8 @@ class Site:
         told = []
         if before is not None and not same_camera(before, view.camera):
             told.append(f"{robot.name} has another calibration from its view {view.name.seq} on")
+            self.depths.forget(robot.name)
+            self.alarms_told = {of for of in self.alarms_told if of[0] != robot.name}
         if back_s > 0:
             told.append(f"the clock of {robot.name} went back by {back_s:.1f} s")
         robot.camera, robot.stamp_ns = view.camera, view.stamp_ns

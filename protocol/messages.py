@@ -310,14 +310,22 @@ class RobotState(Message, frozen=True, schema="fleet.robot_state.v1"):
     why_not: Text = Field(description="why it is not located; empty if it is")
 
 
+class Alarm(Message, frozen=True, schema="fleet.alarm.v1"):
+    """What an operator has to look after at a robot, in words that say what to do."""
+
+    robot: Name
+    kind: Name = Field(description="what is off: scale, unequal, bent, clock")
+    text: Text
+
+
 class FleetState(
     Message,
     frozen=True,
-    schema="fleet.state.v2",
-    before="fleet.state.v1",
+    schema="fleet.state.v3",
+    before="fleet.state.v2",
     at_most=MAX_MESSAGE_BYTES,
 ):
-    """`fleet/state`: everything a late client needs, at a steady rate. v2 tells what is pinned."""
+    """`fleet/state`: everything a late client needs, at a steady rate. v3 has alarms."""
 
     server_epoch: Epoch
     n: Count
@@ -332,6 +340,7 @@ class FleetState(
     pinned: Many[ViewName] = Field(
         default=(), description="selected views that the server keeps: clicks in them will count"
     )
+    alarms: Many[Alarm] = Field(default=(), description="that stand now")
 
 
 class ServerStatus(Message, frozen=True, schema="fleet.status.v1"):

@@ -17,6 +17,7 @@ from pose_server.geometry.icp import gicp
 from pose_server.geometry.matching import NO_MATCHES
 from pose_server.geometry.refine import NoiseScale
 from pose_server.geometry.se3 import transform
+from pose_server.pairs.byproducts import with_byproducts
 from pose_server.pairs.judging import PairResult, judged
 from pose_server.pairs.pair import Pair
 from pose_server.pairs.views import PreparedView
@@ -73,7 +74,8 @@ def align_pair(
         candidates += more
         result = _judge_best(pair, candidates) if more else result
     if result is None:
-        return PairResult(None, None, "rejected", (_why_no_start(pair, starts),))
+        result = PairResult(None, None, "rejected", (_why_no_start(pair, starts),))
+        return with_byproducts(pair, result)
     refined = time.perf_counter()
     if i.dense and j.dense and _needs_icp(result):
         best = _best(candidates)
@@ -84,7 +86,7 @@ def align_pair(
         "refine_and_judge": 1e3 * (refined - matched),
         "icp": 1e3 * (time.perf_counter() - refined),
     }
-    return replace(result, timings_ms=timings)
+    return with_byproducts(pair, replace(result, timings_ms=timings))
 
 
 def _needs_icp(result: PairResult) -> bool:

@@ -16,8 +16,10 @@ from typing import Literal
 
 import numpy as np
 
+from pose_server.geometry.motion import Mask
 from pose_server.pairs.align import Start, align_pair
 from pose_server.pairs.judging import PairResult
+from pose_server.pairs.moving import without_moving
 from pose_server.pairs.starts import Clicks, operator_start, with_operator_fallback
 from pose_server.pairs.views import PreparedView, prepare_view
 from protocol.arrays import MAX_DISTANCE_M
@@ -34,10 +36,13 @@ Purpose = Literal["clicks", "track", "pair"]
 
 @dataclass(frozen=True)
 class EncodedView:
-    """A view as it came over the wire; workers prepare it once."""
+    """A view as it came over the wire, which workers prepare once, and where something moves in
+    it.
+    """
 
     name: ViewName
     payload: bytes
+    mask: Mask | None = None
 
 
 @dataclass(frozen=True)
@@ -162,7 +167,7 @@ _prepared: OrderedDict[ViewName, PreparedView] = OrderedDict()
 
 def run_job(job: Job) -> PairResult:
     """Aligns the two views of a job; runs in a worker."""
-    i, j = _view(job.i), _view(job.j)
+    i, j = (without_moving(_view(encoded), encoded.mask) for encoded in (job.i, job.j))
     if job.purpose == "track":
         i, j = i.strongest(TRACK_POINTS), j.strongest(TRACK_POINTS)
     starts = list(job.starts)

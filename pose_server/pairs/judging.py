@@ -5,9 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from pose_server.calibration.compare import DepthErrors
 from pose_server.geometry import robust
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.evidence import Agreement
+from pose_server.geometry.motion import Mask
 from pose_server.geometry.refine import NoiseScale, Refinement
 from pose_server.geometry.se3 import inverse, position_covariance, rotation_angle, transform
 from pose_server.pairs.pair import Pair
@@ -26,7 +28,8 @@ COVARIANCE_FLOOR = 3e-4
 @dataclass(frozen=True)
 class PairResult:
     """An alignment and how good it is. Poses are camera j in camera i, covariances left, rotation
-    first.
+    first. `depths` tells how the depths of both views fit each other, whatever the
+    verdict; `moving` what moves in two views of one robot.
     """
 
     T_i_j: Floats | None
@@ -41,6 +44,8 @@ class PairResult:
     start: str = "none"
     evidence: Evidence | None = None
     timings_ms: dict[str, float] = field(default_factory=dict)
+    depths: DepthErrors | None = None
+    moving: tuple[Mask | None, Mask | None] = (None, None)
 
 
 def judged(pair: Pair, T: Floats, start: str) -> PairResult:

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from pose_server.geometry.motion import Mask
 from pose_server.geometry.se3 import rotation_angle
 from pose_server.pairs.judging import PairResult
 from protocol.messages import Verdict, ViewName
@@ -51,6 +52,7 @@ class Track:
         reference: the keyframe that the next view is tried against first.
         newest: the newest view that hangs somewhere.
         past: older views that are being placed: they do not tell where the robot is now.
+        masks: where something moves, of the views of which that is known.
     """
 
     keyframes: list[ViewName] = field(default_factory=list)
@@ -58,6 +60,7 @@ class Track:
     reference: ViewName | None = None
     newest: Attached | None = None
     past: set[ViewName] = field(default_factory=set)
+    masks: dict[ViewName, Mask] = field(default_factory=dict)
     _tried: dict[ViewName, list[ViewName]] = field(default_factory=dict)
     _fallback: dict[ViewName, Attached] = field(default_factory=dict)
 
@@ -155,6 +158,7 @@ class Track:
         """Drops views that are no longer kept."""
         for view in views:
             self.attached.pop(view, None)
+            self.masks.pop(view, None)
             self._tried.pop(view, None)
             self._fallback.pop(view, None)
             self.past.discard(view)

@@ -98,6 +98,7 @@ QUESTION = m.Question(i="r1", j="r2", view_i=V1, view_j=V2, reason="joins two pa
 ROBOT_STATE = m.RobotState(
     robot="r1", alive=True, newest_view=V1, views_kept=3, pose=POSE, why_not=""
 )
+ALARM = m.Alarm(robot="r1", kind="scale", text="r1's depths are 5 % too long")
 
 EXAMPLES = {
     type(message): message
@@ -164,6 +165,7 @@ EXAMPLES = {
         CELL,
         QUESTION,
         ROBOT_STATE,
+        ALARM,
         m.FleetState(
             server_epoch=EPOCH,
             n=9,
@@ -176,6 +178,7 @@ EXAMPLES = {
             questions=(QUESTION,),
             events=("r1 joined",),
             pinned=(V1,),
+            alarms=(ALARM,),
         ),
         m.ServerStatus(
             server_epoch=EPOCH,

@@ -9,7 +9,7 @@ from protocol.errors import CodecError
 from tests.protocol import golden
 from tests.protocol.message_examples import DEPTH_M, EXAMPLES, SCATTERED_UVZ
 
-ADDED = {"fleet.state.v1": {"pinned": ()}}
+ADDED = {"fleet.state.v2": {"alarms": ()}}
 """What the reader puts where an earlier version had no field yet."""
 READ = [(c, c.schema_name) for c in m.MESSAGES] + [
     (c, c.schema_before) for c in m.MESSAGES if c.schema_before is not None

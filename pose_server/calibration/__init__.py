@@ -1,0 +1,1 @@
+"""What pairs of views tell of the robots' calibrations."""

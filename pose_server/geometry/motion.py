@@ -1,0 +1,49 @@
+"""Which points of a view move: together with those around them, as wrong matches do not."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+Floats = npt.NDArray[np.floating]
+Bools = npt.NDArray[np.bool_]
+
+_AROUND = 8  # matches that tell what happens around one
+_ALIKE = 5  # of these, itself included, that must be shifted alike
+_ALIKE_PX, _ALIKE_SHARE = 2.0, 0.25  # how far shifts that are alike may differ
+
+
+@dataclass(frozen=True)
+class Mask:
+    """Where something moves in a view: around which pixels (N, 2), how far, px; and pixels (M, 2)
+    that stand still.
+    """
+
+    moving: Floats
+    still: Floats
+    reach_px: float
+
+    def hits(self, uv: Floats) -> Bools:
+        """Which pixels (K, 2) lie within reach of moving matches and nearer to them than to any
+        still one.
+        """
+        moving = cKDTree(self.moving).query(uv, distance_upper_bound=self.reach_px)[0]
+        return np.isfinite(moving) & (moving < cKDTree(self.still).query(uv)[0])
+
+
+def moves_together(uv: Floats, shift: Floats, off: Bools) -> Bools:
+    """Which matches (M,) move.
+
+    Args:
+        uv: (M, 2) where they are, px.
+        shift: (M, 2) how far from where they would be if they stood still, px.
+        off: (M,) which are clearly not there.
+    """
+    if len(uv) < _AROUND:
+        return np.zeros(len(uv), bool)
+    near = cKDTree(uv).query(uv, k=_AROUND)[1]
+    differ = np.linalg.norm(shift[near] - shift[:, None], axis=2)
+    allowed = np.maximum(_ALIKE_PX, _ALIKE_SHARE * np.linalg.norm(shift, axis=1))
+    alike = off[near] & (differ < allowed[:, None])
+    return off & (alike.sum(axis=1) >= _ALIKE)

@@ -1,0 +1,125 @@
+"""Wrong calibrations and things that move, in the synthetic world: from images to alarms."""
+
+import itertools
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from evaluation.world.facades import poster
+from evaluation.world.render import Quad, Renderer
+from evaluation.world.ring import HEIGHT, WIDTH, RingWorld
+from pose_server import alarms
+from pose_server.correspondences.book import Book
+from pose_server.correspondences.records import BookState
+from pose_server.pairs.align import align_pair
+from pose_server.pairs.engine import Done, EncodedView, Job
+from pose_server.pairs.views import PreparedView, prepare_view
+from pose_server.site import Site
+from protocol.messages import View, ViewName
+from robot_agent.cameras.rig import StereoRig
+from robot_agent.cameras.stereo import StereoMatcher
+from robot_agent.cameras.synthetic import mount
+from robot_agent.packing import view_of
+from robot_agent.salient import salient_points
+
+ROBOTS, WRONG = 4, "r3"
+
+
+class NoJournal:
+    def load(self) -> BookState:
+        return BookState()
+
+    def record(self, change: object) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def world() -> RingWorld:
+    return RingWorld(ROBOTS, 36.0, seed=3)
+
+
+@pytest.fixture(scope="module")
+def shots(world):
+    return {name: world.shoot(name) for name in world.names}
+
+
+def seen(robot: str, rig: StereoRig, left, right, seq: int = 0) -> View:
+    """The view that a robot sends of two images."""
+    frame = StereoMatcher(rig).frame(left, right, seq)
+    salient = salient_points(frame.image, frame.ranges, frame.model)
+    return view_of(ViewName(robot=robot, epoch="0" * 12, seq=seq), frame, salient)
+
+
+def alarms_with(world: RingWorld, shots, rig: StereoRig) -> Site:
+    """The server's site after aligning neighbours, one robot having another rig."""
+    site = Site(Book(NoJournal()))
+    views: dict[str, PreparedView] = {}
+    for name, shot in shots.items():
+        message = seen(name, rig if name == WRONG else world.rig, shot.left, shot.right)
+        site.robot(name).camera = message.camera
+        views[name] = prepare_view(message)
+    for a, b in itertools.combinations(views, 2):
+        job = Job("pair", EncodedView(views[a].name, b""), EncodedView(views[b].name, b""))
+        alarms.note_depths(site, Done(job, align_pair(views[a], views[b])))
+    alarms.judge_calibrations(site)
+    return site
+
+
+def test_right_calibrations_raise_no_alarm(world, shots):
+    assert alarms_with(world, shots, world.rig).alarms == ()
+
+
+def test_a_baseline_five_percent_too_long_is_named(world, shots):
+    longer = world.rig.T_right_left.copy()
+    longer[:3, 3] *= 1.05
+    site = alarms_with(world, shots, replace(world.rig, T_right_left=longer))
+    assert [(alarm.robot, alarm.kind) for alarm in site.alarms] == [(WRONG, "scale")]
+    percent = float(site.alarms[0].text.split()[3])
+    assert abs(percent - 5.0) < 1.0 and "too long" in site.alarms[0].text
+
+
+@pytest.mark.parametrize("axis", [1, 2], ids=["sideways", "rolled"])
+def test_a_camera_turned_by_two_degrees_is_named(world, shots, axis):
+    turned = world.rig.T_right_left.copy()
+    turned[:3] = cv2.Rodrigues(np.radians(2.0) * np.eye(3)[axis])[0] @ turned[:3]
+    site = alarms_with(world, shots, replace(world.rig, T_right_left=turned))
+    assert [(alarm.robot, alarm.kind) for alarm in site.alarms] == [(WRONG, "bent")]
+    angle = float(site.alarms[0].text.split("turned by ")[1].split()[0])
+    assert angle == pytest.approx(2.0, abs=0.25)
+
+
+def eyes(world: RingWorld, scene: Renderer, T_world_robot) -> list[np.ndarray]:
+    T_world_left = T_world_robot @ mount()
+    T_world_right = T_world_left @ np.linalg.inv(world.rig.T_right_left)
+    return [
+        scene.image(T, world.rig.K_left, (WIDTH, HEIGHT)) for T in (T_world_left, T_world_right)
+    ]
+
+
+def test_somebody_who_walks_through_the_view_is_masked(world):
+    ahead, left = (world.T_world_robot("r2")[:3, k] for k in (0, 1))
+    texture = poster(np.random.default_rng(5), 360, 200).astype(np.uint8)
+    messages, places = [], []
+    for seq in (0, 1):
+        T_world_robot = world.T_world_robot("r2")
+        middle = T_world_robot[:3, 3] + 4.5 * ahead + (0.5 - 0.6 * seq) * left
+        T_world_robot[:3, 3] -= 0.25 * seq * left
+        corner = middle + 0.5 * left + np.array((0.0, 0.0, 1.9))
+        person = Quad(corner, -left, np.array((0.0, 0.0, -1.8)), texture)
+        pair = eyes(world, world.scene.with_quads([person]), T_world_robot)
+        messages.append(seen("r2", world.rig, *pair, seq=seq))
+        T_camera_world = np.linalg.inv(T_world_robot @ mount())
+        corners = np.array([corner, corner - left - np.array((0.0, 0.0, 1.8))])
+        places.append(corners @ T_camera_world[:3, :3].T + T_camera_world[:3, 3])
+    views = [prepare_view(message) for message in messages]
+    result = align_pair(*views)
+    assert result.verdict == "verified"
+    for view, corners, mask in zip(views, places, result.moving, strict=True):
+        assert mask is not None
+        (low, high), _ = view.observed.project(corners)
+        uv = view.observed.uv
+        inside = ((uv > low - 1) & (uv < high + 1)).all(axis=1)
+        hit = mask.hits(uv)
+        assert hit[inside].mean() > 0.6 and hit[~inside].mean() < 0.01
