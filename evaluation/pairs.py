@@ -71,15 +71,13 @@ def run(
         progress_bar() as progress,
     ):
         views = {view.index: view for pair in pairs for view in pair}
-        wires, robot_ms = _on_the_wire(
-            recording, list(views.values()), Path(folder), pool, progress
-        )
+        wires, robot_ms = on_the_wire(recording, list(views.values()), Path(folder), pool, progress)
         server_ms = list(pool.map(prepare_ms, wires.values()))
         limits = Limits.of(median_m, recording.is_rgbd)
         task = progress.add_task("pairs", total=len(pairs))
         rows = []
         jobs = ((pair, (align, wires[pair[0].index], wires[pair[1].index])) for pair in pairs)
-        for (i, j), answer in _as_done(pool, jobs, in_flight=2 * workers + 2):
+        for (i, j), answer in as_done(pool, jobs, in_flight=2 * workers + 2):
             rows.append(_scored(i, j, answer, limits))
             progress.advance(task)
         _add_shared_or_overlap(recording, rows, pool, progress)
@@ -108,7 +106,7 @@ def limited(
     return [pairs[k] for k in sorted(set(chosen.tolist()))]
 
 
-def _on_the_wire(
+def on_the_wire(
     recording: Recording,
     views: Sequence[TrueView],
     folder: Path,
@@ -130,7 +128,7 @@ def _on_the_wire(
     return wires, [job.result() for _, job in jobs]
 
 
-def _as_done(
+def as_done(
     pool: ProcessPoolExecutor, jobs: Iterable[tuple[Any, tuple[Any, ...]]], in_flight: int
 ) -> Iterator[tuple[Any, Any]]:
     """Runs (label, (function, *arguments)) in order and yields (label, result) as they are done."""
@@ -183,6 +181,6 @@ def _add_shared_or_overlap(
     if recording.is_rgbd or recording.clouds == "stereo_dense":
         task = progress.add_task("overlap", total=len(rows))
         jobs = ((row, (true_overlap, views[row.i], views[row.j], row.T_i_j_true)) for row in rows)
-        for row, value in _as_done(pool, jobs, in_flight=8):
+        for row, value in as_done(pool, jobs, in_flight=8):
             row.overlap = value
             progress.advance(task)
