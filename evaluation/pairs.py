@@ -25,6 +25,7 @@ from evaluation.datasets import (
     shared_tracks,
 )
 from evaluation.geometry import inverse
+from evaluation.pair_row import PairRow
 from evaluation.pair_worker import (
     Answer,
     align,
@@ -33,7 +34,7 @@ from evaluation.pair_worker import (
     true_overlap,
     use_one_thread,
 )
-from evaluation.pairs_report import PairRow, write_results
+from evaluation.pairs_report import write_results
 from evaluation.report import output_folder, progress_bar
 from evaluation.scoring import (
     Limits,
@@ -49,7 +50,7 @@ TILE = 16  # pairs are done in squares of so many views, so that the caches serv
 def run(
     data: Path, clouds: CloudKind | None, out: Path, workers: int = 2, limit: int | None = None
 ) -> dict[str, Any]:
-    """Aligns all pairs; writes poses.csv, pairs.csv, summary.json and a plot; returns the summary.
+    """Aligns all pairs; writes tables, plots and a report; returns the summary.
 
     Args:
         data: a posed-views or RGB-D folder.
@@ -83,7 +84,7 @@ def run(
         _add_shared_or_overlap(recording, rows, pool, progress)
     rows.sort(key=lambda row: (row.i, row.j))
     view_ms = [robot + server for robot, server in zip(robot_ms, server_ms, strict=True)]
-    return write_results(out, rows, median_m, view_ms, recording.is_rgbd)
+    return write_results(out, recording, rows, median_m, view_ms)
 
 
 def pairs_of(recording: Recording) -> list[tuple[TrueView, TrueView]]:
