@@ -23,11 +23,14 @@ class Timed:
     Attributes:
         T_i_j: (4, 4) camera j in camera i, metres; none where there is no answer.
         pair_ms: of a pair whose views have been used before.
+        pair_cpu_ms: the same, as the time of all cores together: it says what the work costs where
+            others share the machine.
         whole_ms: of the same pair with all the work on both views.
     """
 
     T_i_j: Floats | None
     pair_ms: float
+    pair_cpu_ms: float
     whole_ms: float
 
 
@@ -48,10 +51,10 @@ def align_ours(wire_i: Path, wire_j: Path) -> Timed:
         i, j = (prepare_view(codec.unpack(View, payload)) for payload in payloads)
         return i, j, align_pair(i, j)
 
-    (i, j, _), whole_ms = _timed(whole)
-    result, pair_ms = _timed(lambda: align_pair(i, j))
+    (i, j, _), whole_ms, _ = _timed(whole)
+    result, pair_ms, pair_cpu_ms = _timed(lambda: align_pair(i, j))
     T_i_j = None if result.T_i_j is None else np.asarray(result.T_i_j, np.float64)
-    return Timed(T_i_j, pair_ms, whole_ms)
+    return Timed(T_i_j, pair_ms, pair_cpu_ms, whole_ms)
 
 
 def align_peers(wire_i: Path, wire_j: Path, scale: float) -> dict[str, Timed]:
@@ -67,15 +70,17 @@ def align_peers(wire_i: Path, wire_j: Path, scale: float) -> dict[str, Timed]:
 def _align(peer: Peer, wire_i: Path, wire_j: Path, scale: float) -> Timed:
     i, i_ms = _prepared(peer.prepare, wire_i, scale)
     j, j_ms = _prepared(peer.prepare, wire_j, scale)
-    T_i_j, pair_ms = _timed(lambda: peer.align(i, j))
+    T_i_j, pair_ms, pair_cpu_ms = _timed(lambda: peer.align(i, j))
     T_i_j[:3, 3] /= scale
-    return Timed(T_i_j if np.isfinite(T_i_j).all() else None, pair_ms, i_ms + j_ms + pair_ms)
+    answer = T_i_j if np.isfinite(T_i_j).all() else None
+    return Timed(answer, pair_ms, pair_cpu_ms, i_ms + j_ms + pair_ms)
 
 
 @lru_cache(maxsize=2 * CACHED_VIEWS)
 def _prepared(prepare: Callable[[Floats], Any], wire: Path, scale: float) -> tuple[Any, float]:
     points = scale * _points(wire)
-    return _timed(lambda: prepare(points))
+    view, view_ms, _ = _timed(lambda: prepare(points))
+    return view, view_ms
 
 
 def _points(wire: Path) -> Floats:
@@ -86,8 +91,9 @@ def _points(wire: Path) -> Floats:
     return points_of(codec.unpack(View, wire.read_bytes())).xyz
 
 
-def _timed(work: Callable[[], Result]) -> tuple[Result, float]:
-    """What a piece of work gives, and its milliseconds."""
-    began = time.perf_counter()
+def _timed(work: Callable[[], Result]) -> tuple[Result, float, float]:
+    """What a piece of work gives, its milliseconds, and those of all cores together."""
+    began, cpu_began = time.perf_counter(), time.process_time()
     result = work()
-    return result, 1e3 * (time.perf_counter() - began)
+    ended, cpu_ended = time.perf_counter(), time.process_time()
+    return result, 1e3 * (ended - began), 1e3 * (cpu_ended - cpu_began)

@@ -42,10 +42,10 @@ def test_each_peer_finds_a_known_pose(peer):
 def test_shares_are_of_all_pairs_answered_or_not():
     truth = pose(10.0, (1.0, 0.0, 0.0))
     answers = [
-        Timed(truth, 10.0, 100.0),
-        Timed(truth @ pose(5.0), 20.0, 200.0),
-        Timed(pose(10.0, (2.0, 0.0, 0.0)), 30.0, 300.0),
-        Timed(None, 40.0, 400.0),
+        Timed(truth, 10.0, 9.0, 100.0),
+        Timed(truth @ pose(5.0), 20.0, 9.0, 200.0),
+        Timed(pose(10.0, (2.0, 0.0, 0.0)), 30.0, 9.0, 300.0),
+        Timed(None, 40.0, 9.0, 400.0),
     ]
     row = score("one", [truth] * 4, answers, Bars.of(2.0, rgbd=True))
     assert (row["recall"], row["strict_recall"]) == (0.5, 0.25)
@@ -54,8 +54,7 @@ def test_shares_are_of_all_pairs_answered_or_not():
 
 def test_posed_views_are_measured_by_grave_and_ok():
     bars = Bars.of(10.0, rgbd=False)
-    assert bars.recall == (0.5, 5.0)
-    assert bars.strict == (0.2, 2.0)
+    assert bars == Bars(recall_m=0.5, recall_deg=5.0, strict_m=0.2, strict_deg=2.0)
 
 
 def test_every_method_meets_the_same_pairs(tmp_path):
