@@ -133,7 +133,6 @@ def score(
     method: str, truths: Sequence[Floats], answers: Sequence[Timed], bars: Bars
 ) -> dict[str, Any]:
     """A method's shares of all pairs, answered or not, and its median times."""
-
     errors = [
         (position_error_m(truth, answer.T_i_j), rotation_error_deg(truth, answer.T_i_j))
         if answer.T_i_j is not None
