@@ -47,6 +47,25 @@ def pairs(
 
 
 @app.command()
+def align(
+    data: Data,
+    out: Out,
+    clouds: Clouds = None,
+    workers: Annotated[
+        int, typer.Option(min=1, help="Pairs at a time; more than one spoils the times.")
+    ] = 1,
+    limit: Annotated[int | None, typer.Option(min=1, help="So many pairs, spread evenly.")] = None,
+    min_overlap: Annotated[
+        float, typer.Option(min=0, max=1, help="RGB-D: pairs that overlap less are left out.")
+    ] = 0.3,
+) -> None:
+    """Align pairs that see enough of the same, beside Open3D and KISS-Matcher with GICP."""
+    from evaluation.align import run
+
+    run(data, clouds.value if clouds else None, out, workers, limit, min_overlap)
+
+
+@app.command()
 def fleet(
     out: Out,
     robots: Annotated[int, typer.Option(min=2, help="How many.")] = 6,

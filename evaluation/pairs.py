@@ -25,6 +25,7 @@ from evaluation.datasets import (
     shared_tracks,
 )
 from evaluation.geometry import inverse
+from evaluation.pair_row import PairRow
 from evaluation.pair_worker import (
     Answer,
     align,
@@ -33,7 +34,7 @@ from evaluation.pair_worker import (
     true_overlap,
     use_one_thread,
 )
-from evaluation.pairs_report import PairRow, write_results
+from evaluation.pairs_report import write_results
 from evaluation.report import output_folder, progress_bar
 from evaluation.scoring import (
     Limits,
@@ -49,7 +50,7 @@ TILE = 16  # pairs are done in squares of so many views, so that the caches serv
 def run(
     data: Path, clouds: CloudKind | None, out: Path, workers: int = 2, limit: int | None = None
 ) -> dict[str, Any]:
-    """Aligns all pairs; writes poses.csv, pairs.csv, summary.json and a plot; returns the summary.
+    """Aligns all pairs; writes tables, plots and a report; returns the summary.
 
     Args:
         data: a posed-views or RGB-D folder.
@@ -71,21 +72,19 @@ def run(
         progress_bar() as progress,
     ):
         views = {view.index: view for pair in pairs for view in pair}
-        wires, robot_ms = _on_the_wire(
-            recording, list(views.values()), Path(folder), pool, progress
-        )
+        wires, robot_ms = on_the_wire(recording, list(views.values()), Path(folder), pool, progress)
         server_ms = list(pool.map(prepare_ms, wires.values()))
         limits = Limits.of(median_m, recording.is_rgbd)
         task = progress.add_task("pairs", total=len(pairs))
         rows = []
         jobs = ((pair, (align, wires[pair[0].index], wires[pair[1].index])) for pair in pairs)
-        for (i, j), answer in _as_done(pool, jobs, in_flight=2 * workers + 2):
+        for (i, j), answer in as_done(pool, jobs, in_flight=2 * workers + 2):
             rows.append(_scored(i, j, answer, limits))
             progress.advance(task)
         _add_shared_or_overlap(recording, rows, pool, progress)
     rows.sort(key=lambda row: (row.i, row.j))
     view_ms = [robot + server for robot, server in zip(robot_ms, server_ms, strict=True)]
-    return write_results(out, rows, median_m, view_ms, recording.is_rgbd)
+    return write_results(out, recording, rows, median_m, view_ms)
 
 
 def pairs_of(recording: Recording) -> list[tuple[TrueView, TrueView]]:
@@ -108,7 +107,7 @@ def limited(
     return [pairs[k] for k in sorted(set(chosen.tolist()))]
 
 
-def _on_the_wire(
+def on_the_wire(
     recording: Recording,
     views: Sequence[TrueView],
     folder: Path,
@@ -130,7 +129,7 @@ def _on_the_wire(
     return wires, [job.result() for _, job in jobs]
 
 
-def _as_done(
+def as_done(
     pool: ProcessPoolExecutor, jobs: Iterable[tuple[Any, tuple[Any, ...]]], in_flight: int
 ) -> Iterator[tuple[Any, Any]]:
     """Runs (label, (function, *arguments)) in order and yields (label, result) as they are done."""
@@ -183,6 +182,6 @@ def _add_shared_or_overlap(
     if recording.is_rgbd or recording.clouds == "stereo_dense":
         task = progress.add_task("overlap", total=len(rows))
         jobs = ((row, (true_overlap, views[row.i], views[row.j], row.T_i_j_true)) for row in rows)
-        for row, value in _as_done(pool, jobs, in_flight=8):
+        for row, value in as_done(pool, jobs, in_flight=8):
             row.overlap = value
             progress.advance(task)

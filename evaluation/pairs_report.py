@@ -1,79 +1,65 @@
-"""The results of `pose-eval pairs`: CSV files, summary, tables, precision-recall plot."""
+"""The results of `pose-eval pairs`: CSV files, summary, plots, report, tables."""
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from evaluation.geometry import Floats
+from evaluation.datasets import Recording
+from evaluation.intervals import share_over_views
+from evaluation.pair_row import PairRow, verified_nees
+from evaluation.pairs_calls import closest_calls
+from evaluation.pairs_html import write_html
+from evaluation.pairs_plots import plot_all
 from evaluation.report import (
     COVARIANCE_COLUMNS,
     POSE_COLUMNS,
-    new_figure,
-    pose_cells,
     print_table,
     write_csv,
     write_summary,
 )
-from evaluation.scoring import percentile, precision_recall, share, weakest_sigma_m
+from evaluation.scoring import CHI2_6_95, Limits, percentile, share, trimmed_nees_per_dof
 
-VERDICTS = ("verified", "plausible", "ambiguous", "rejected")
 ANGLE_BINS_DEG = ((0, 20), (20, 40), (40, 60), (60, 90), (90, 180))
+SUCCESS_BINS = ((0.1, 0.2), (0.2, 0.3), (0.3, 0.4), (0.4, 0.5), (0.5, 1.0))
 OVERLAP_BINS = ((0.0, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.5), (0.5, 1.0))
 POSE_FILE_COLUMNS = ("i", "j", "verdict", "align_ms", *POSE_COLUMNS, *COVARIANCE_COLUMNS)
 TRUTH_COLUMNS = ("shared", "overlap", "angle_deg", "position_error_m", "rotation_error_deg")
 REMARK_COLUMNS = ("start", "inliers", "reasons")
 
 
-@dataclass
-class PairRow:
-    """One pair: what was answered and how right it is. `T_i_j` is camera j in camera i."""
-
-    i: int
-    j: int
-    verdict: str
-    align_ms: float
-    T_i_j: Floats | None
-    covariance: Floats | None
-    T_i_j_true: Floats
-    angle_deg: float
-    position_error_m: float | None
-    rotation_error_deg: float | None
-    ok: bool
-    grave: bool
-    start: str
-    inliers: int
-    reasons: str
-    shared: int | None = None
-    overlap: float | None = None
-
-    def cells(self) -> dict[str, Any]:
-        """One row of the CSV files."""
-        fields = {name: value for name, value in vars(self).items() if value is not None}
-        return {**pose_cells(self.T_i_j, self.covariance), **fields}
-
-
 def write_results(
-    out: Path, rows: Sequence[PairRow], median_depth_m: float, view_ms: Sequence[float], rgbd: bool
+    out: Path,
+    recording: Recording,
+    rows: Sequence[PairRow],
+    median_depth_m: float,
+    view_ms: Sequence[float],
 ) -> dict[str, Any]:
-    """Writes poses.csv, pairs.csv, summary.json and the plot; prints the tables."""
-    cells = [row.cells() for row in rows]
-    write_csv(out / "poses.csv", POSE_FILE_COLUMNS, cells)
-    write_csv(out / "pairs.csv", (*POSE_FILE_COLUMNS, *TRUTH_COLUMNS, *REMARK_COLUMNS), cells)
-    summary = summarize(rows, median_depth_m, view_ms)
+    """Writes poses.csv, pairs.csv, summary.json, the plots and report.html; prints the tables."""
+    write_tables(out, rows)
+    summary = summarize(rows, median_depth_m, view_ms, recording.is_rgbd)
     write_summary(out, summary)
-    plot_precision_recall(out / "precision_recall.png", rows)
-    _print(summary, rgbd)
+    plots = plot_all(out, rows, median_depth_m)
+    write_html(out / "report.html", recording, rows, summary, plots)
+    _print(summary, recording.is_rgbd)
     return summary
 
 
+def write_tables(out: Path, rows: Sequence[PairRow]) -> None:
+    """Writes poses.csv, and pairs.csv with the truth and remarks beside it."""
+    cells = [row.cells() for row in rows]
+    write_csv(out / "poses.csv", POSE_FILE_COLUMNS, cells)
+    write_csv(out / "pairs.csv", (*POSE_FILE_COLUMNS, *TRUTH_COLUMNS, *REMARK_COLUMNS), cells)
+
+
 def summarize(
-    rows: Sequence[PairRow], median_depth_m: float, view_ms: Sequence[float]
+    rows: Sequence[PairRow], median_depth_m: float, view_ms: Sequence[float], rgbd: bool
 ) -> dict[str, Any]:
     """The numbers of summary.json. Shares are of all pairs in question, answered or not."""
+    nees = verified_nees(rows)
     below_60 = [row for row in rows if row.angle_deg < 60]
     verified = [row for row in rows if row.verdict == "verified"]
     return {
@@ -87,6 +73,11 @@ def summarize(
         "verified_ok_below_60": share(row.verdict == "verified" for row in below_60 if row.ok),
         "verified": len(verified),
         "grave_verified": sum(row.grave for row in verified),
+        "nees_per_dof": trimmed_nees_per_dof(nees),
+        "coverage_95": share(value <= CHI2_6_95 for value in nees),
+        "shares": _shares(rows),
+        "success_overlap": _success_by_overlap(rows) if rgbd else None,
+        "closest_calls": closest_calls(rows, Limits.of(median_depth_m, rgbd)),
         "verdicts": dict(Counter(row.verdict for row in rows)),
         "grave_by_verdict": dict(Counter(row.verdict for row in rows if row.grave)),
         "by_angle": [
@@ -102,32 +93,35 @@ def summarize(
     }
 
 
-def plot_precision_recall(path: Path, rows: Sequence[PairRow]) -> None:
-    """Precision over recall, answers accepted by verdict, within a verdict by stated sigma."""
-    answered = [row for row in rows if row.T_i_j is not None]
-    ok = [row.ok for row in answered]
-    rank = [float(len(VERDICTS) - VERDICTS.index(row.verdict)) for row in answered]
-    sigmas = [weakest_sigma_m(row.covariance) for row in answered]
-    by_sigma = [(r, -sigma) for r, sigma in zip(rank, sigmas, strict=True)]
-    figure, axes = new_figure()
-    if answered:
-        axes.plot(*precision_recall(by_sigma, ok), label="by verdict, then stated sigma")
-        recall, precision = precision_recall([(r,) for r in rank], ok)
-        axes.plot(recall, precision, "o", label="verdicts")
-        given = [v for v in VERDICTS if any(row.verdict == v for row in answered)]
-        for name, x, y in zip(given, recall, precision, strict=True):
-            axes.annotate(f" {name} or better", (x, y), fontsize=8, va="top", ha="right")
-    axes.set(
-        xlabel="recall: share of the right answers that are accepted",
-        ylabel="precision: share of the accepted that are right",
-        xlim=(0, 1.02),
-        ylim=(0, 1.02),
-        title=f"{len(rows)} pairs, {len(answered)} answered, {sum(ok)} right",
-    )
-    axes.grid(alpha=0.3)
-    if answered:
-        axes.legend(loc="lower left")
-    figure.savefig(path)
+def _shares(rows: Sequence[PairRow]) -> dict[str, dict[str, Any]]:
+    """The shares that count, with intervals."""
+    near = [row for row in rows if row.angle_deg < 60]
+    far = [row for row in rows if 60 <= row.angle_deg < 90]
+    return {
+        "ok_below_60": _interval(near, [row.ok for row in near]),
+        "ok_60_90": _interval(far, [row.ok for row in far]),
+        "verified_of_ok_below_60": _verified_of_ok(near),
+        "verified_of_ok_60_90": _verified_of_ok(far),
+    }
+
+
+def _verified_of_ok(rows: Sequence[PairRow]) -> dict[str, Any]:
+    right = [row for row in rows if row.ok]
+    return _interval(right, [row.verdict == "verified" for row in right])
+
+
+def _interval(rows: Sequence[PairRow], flags: Sequence[bool]) -> dict[str, Any]:
+    return asdict(share_over_views([(row.i, row.j) for row in rows], flags))
+
+
+def _success_by_overlap(rows: Sequence[PairRow]) -> list[dict[str, Any]]:
+    """Share of pairs that are answered and not gravely wrong."""
+    bins = []
+    for low, high in SUCCESS_BINS:
+        some = _within(rows, "overlap", low, high)
+        success = [row.T_i_j is not None and not row.grave for row in some]
+        bins.append({"from": low, "to": high, **_interval(some, success)})
+    return bins
 
 
 def _within(rows: Sequence[PairRow], field: str, low: float, high: float) -> list[PairRow]:
@@ -172,3 +166,15 @@ def _print(summary: dict[str, Any], rgbd: bool) -> None:
     )
     shown = [key for key, value in summary.items() if not isinstance(value, list | dict)]
     print_table("summary", ("", ""), [(key, summary[key]) for key in shown])
+    names = ("share", "low", "high", "pairs")
+    print_table(
+        "shares, 95 % of bootstrap draws over views",
+        ("", *names),
+        [
+            *((name, *(one[n] for n in names)) for name, one in summary["shares"].items()),
+            *(
+                (f"success at overlap {one['from']}-{one['to']}", *(one[n] for n in names))
+                for one in summary["success_overlap"] or ()
+            ),
+        ],
+    )

@@ -113,6 +113,23 @@ def nees(T_true: Floats, T_estimated: Floats, covariance: Floats) -> float:
         return float("nan")
 
 
+def trimmed_nees_per_dof(values: Sequence[float]) -> float | None:
+    """Mean of the smallest 95 % of NEES values, 1 if the covariances are right; none for none.
+
+    Without trimming, one gross error hides how the rest is. What the trimming takes from right
+    values is given back: a chi-square of k degrees of freedom has below q the mean
+    k P(chi2_{k+2} < q) / P(chi2_k < q).
+    """
+    if not len(values):
+        return None
+    from scipy.stats import chi2
+
+    kept = np.sort(values)[: max(int(np.ceil(0.95 * len(values))), 1)]
+    if not np.isfinite(kept).all():
+        return None
+    return float(kept.mean() / (6 * chi2.cdf(CHI2_6_95, 8) / 0.95))
+
+
 def aligned_errors_m(true_positions: Floats, positions: Floats) -> Floats:
     """(N,) distances after the rigid motion that fits all (N, 3) positions best."""
     T_true_estimated = align_points(true_positions, positions)

@@ -2,11 +2,16 @@
 
 import csv
 import json
+import re
 
 import numpy as np
 import pytest
 
-from evaluation.pairs_report import PairRow, plot_precision_recall, summarize, write_results
+from evaluation.datasets import open_recording
+from evaluation.pair_row import PairRow
+from evaluation.pairs_calls import unsolved
+from evaluation.pairs_plots import plot_all, plot_precision_recall
+from evaluation.pairs_report import summarize, write_results, write_tables
 from evaluation.report import (
     COVARIANCE_COLUMNS,
     OutputFolderError,
@@ -14,7 +19,7 @@ from evaluation.report import (
     pose_cells,
     write_summary,
 )
-from tests.evaluation.makers import pose
+from tests.evaluation.makers import pose, write_posed_views, write_rgbd
 
 
 def row(i=0, j=1, verdict="verified", angle_deg=10.0, error_m=0.1, ok=True, grave=False, **more):
@@ -39,6 +44,11 @@ def row(i=0, j=1, verdict="verified", angle_deg=10.0, error_m=0.1, ok=True, grav
     )
 
 
+def posed_views(folder):
+    write_posed_views(folder / "set", count=4)
+    return open_recording(folder / "set", "sparse_noisy")
+
+
 def read(path):
     with path.open(newline="") as file:
         return list(csv.DictReader(file))
@@ -56,9 +66,7 @@ def test_covariance_columns_are_the_upper_triangle_row_by_row():
 
 
 def test_poses_csv_has_exactly_the_agreed_columns(tmp_path):
-    write_results(
-        tmp_path, [row(), row(0, 2, "rejected", error_m=None, ok=False)], 10.0, [5.0], False
-    )
+    write_tables(tmp_path, [row(), row(0, 2, "rejected", error_m=None, ok=False)])
     header = (tmp_path / "poses.csv").read_text().splitlines()[0].split(",")
     assert header[:4] == ["i", "j", "verdict", "align_ms"]
     assert header[4:11] == ["qw", "qx", "qy", "qz", "tx", "ty", "tz"]
@@ -72,7 +80,7 @@ def test_poses_csv_has_exactly_the_agreed_columns(tmp_path):
 
 
 def test_pairs_csv_adds_the_truth_and_leaves_blank_what_does_not_apply(tmp_path):
-    write_results(tmp_path, [row(shared=12)], 10.0, [5.0], False)
+    write_tables(tmp_path, [row(shared=12)])
     (only,) = read(tmp_path / "pairs.csv")
     assert only["shared"] == "12"
     assert only["overlap"] == ""
@@ -89,7 +97,7 @@ def test_summary_counts_shares_of_all_pairs_in_question():
         row(verdict="rejected", angle_deg=59.0, error_m=None, ok=False),
         row(verdict="rejected", angle_deg=80.0, error_m=None, ok=False),
     ]
-    summary = summarize(rows, 10.0, [4.0, 6.0])
+    summary = summarize(rows, 10.0, [4.0, 6.0], rgbd=False)
     assert summary["ok_below_60"] == 0.5
     assert summary["verified_ok_below_60"] == 0.5
     assert summary["grave_verified"] == 1
@@ -102,7 +110,7 @@ def test_summary_counts_shares_of_all_pairs_in_question():
 
 def test_recall_by_overlap_where_overlap_is_known():
     rows = [row(overlap=0.05, ok=False), row(overlap=0.1), row(overlap=1.0)]
-    bins = summarize(rows, 2.0, [1.0])["by_overlap"]
+    bins = summarize(rows, 2.0, [1.0], rgbd=True)["by_overlap"]
     assert [(b["pairs"], b["ok"]) for b in bins] == [
         (1, 0.0),
         (1, 1.0),
@@ -132,3 +140,69 @@ def test_an_output_folder_that_is_a_file_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputFolderError, match="--out"):
         output_folder(tmp_path / "file")
+
+
+def test_success_by_overlap_counts_answers_that_are_not_grave():
+    rows = [
+        row(0, 1, overlap=0.15, ok=False),
+        row(0, 2, overlap=0.15, ok=False, grave=True),
+        row(1, 2, overlap=0.9, error_m=None, ok=False),
+        row(1, 3, overlap=1.0),
+    ]
+    bins = summarize(rows, 2.0, [1.0], rgbd=True)["success_overlap"]
+    assert [(b["from"], b["pairs"], b["share"]) for b in bins] == [
+        (0.1, 2, 0.5), (0.2, 0, None), (0.3, 0, None), (0.4, 0, None), (0.5, 2, 0.5),
+    ]  # fmt: skip
+    assert summarize(rows, 2.0, [1.0], rgbd=False)["success_overlap"] is None
+
+
+def test_closest_calls_begin_with_the_worst():
+    rows = [
+        row(0, 1, error_m=0.1),
+        row(0, 2, error_m=0.4),
+        row(0, 3, "plausible", error_m=9.0, ok=False, grave=True),
+    ]
+    calls = summarize(rows, 10.0, [1.0], rgbd=False)["closest_calls"]
+    assert [call["j"] for call in calls["verified_largest_error"]] == [2, 1]
+    assert calls["verified_largest_error"][0]["share_of_grave"] == pytest.approx(0.8)
+    assert [call["j"] for call in calls["grave_most_support"]] == [3]
+
+
+def test_unsolved_pairs_are_false_verdicts_first_and_spread_over_views():
+    rows = [row(0, j, "rejected", ok=False, error_m=None, shared=1000 - j) for j in range(1, 20)]
+    rows += [
+        row(20, 21, grave=True, ok=False, shared=40),
+        row(22, 23, "rejected", ok=False, angle_deg=80.0, shared=900),  # wide: allowed to fail
+        row(24, 25, "rejected", ok=False, shared=29),  # hardly anything in common
+        row(26, 27, shared=900),
+    ]
+    shown = [(one.i, one.j) for one in unsolved(rows, rgbd=False)]
+    assert shown[0] == (20, 21)
+    assert shown[1:] == [(0, 1), (0, 2), (0, 3), (0, 4)]
+
+
+@pytest.mark.parametrize("rgbd", [False, True])
+def test_the_report_shows_unsolved_pairs_and_needs_nothing_beside_it(tmp_path, rgbd):
+    recording = posed_views(tmp_path)
+    if rgbd:
+        write_rgbd(tmp_path / "rgbd", count=4)
+        recording = open_recording(tmp_path / "rgbd")
+    rows = [
+        row(shared=200, overlap=0.9),
+        row(0, 2, "rejected", error_m=None, ok=False, shared=200, overlap=0.8),
+    ]
+    rows[1].reasons = "<b>no start</b>"
+    write_results(tmp_path, recording, rows, 10.0, [5.0])
+    text = (tmp_path / "report.html").read_text()
+    sources = re.findall(r'(?:src|href)\s*=\s*"?([^">]*)', text)
+    assert sources
+    assert all(source.startswith("data:image/") for source in sources)
+    assert "http" not in re.sub(r'base64,[^"]*', "", text)
+    assert text.count("<figure>") == 1
+    assert "&lt;b&gt;no start&lt;/b&gt;" in text
+    for name in ("recall_over_angle", "precision_recall", "position_error", "nees"):
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_all_plots_can_be_drawn_for_no_pair_at_all(tmp_path):
+    assert all(path.exists() for path in plot_all(tmp_path, [], 10.0).values())

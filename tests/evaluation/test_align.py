@@ -1,0 +1,72 @@
+"""`pose-eval align` measures peers that work, on the same pairs, by the same limits."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from evaluation.align import Bars, run, score
+from evaluation.align_worker import Timed
+from evaluation.geometry import inverse, transform
+from evaluation.peers import PEERS
+from evaluation.scoring import position_error_m, rotation_error_deg
+from tests.evaluation.makers import pose, write_posed_views
+
+
+def furnished_corner(rng, count=25_000):
+    """Points (N, 3) of two walls, a floor and boxes of different sizes, metres."""
+    lowest = np.array([[-1.5, -1, 3], [-1.5, -1, 1.5], [-1.5, 1, 1.5]], float)
+    highest = np.array([[1.5, 1, 3], [-1.5, 1, 3], [1.5, 1, 3]], float)
+    for x, y, z, size in ((-1, 0.5, 2.4, 0.5), (0.2, 0.2, 2.1, 0.8), (1, -0.6, 2.7, 0.3)):
+        for axis in range(3):
+            low, high = np.array([x, y, z], float), np.array([x, y, z]) + size
+            high[axis] = low[axis]
+            lowest, highest = np.vstack((lowest, low)), np.vstack((highest, high))
+    face = rng.integers(len(lowest), size=count)
+    points = rng.uniform(lowest[face], highest[face])
+    return points + rng.normal(scale=0.003, size=points.shape)
+
+
+@pytest.mark.parametrize("peer", PEERS, ids=lambda peer: peer.name)
+def test_each_peer_finds_a_known_pose(peer):
+    rng = np.random.default_rng(1)
+    T_i_j = pose(20.0, (0.4, 0.1, -0.2))
+    i = furnished_corner(rng)
+    j = transform(inverse(T_i_j), furnished_corner(rng))
+    found = peer.align(peer.prepare(i), peer.prepare(j))
+    assert position_error_m(T_i_j, found) < 0.03
+    assert rotation_error_deg(T_i_j, found) < 1.0
+
+
+def test_shares_are_of_all_pairs_answered_or_not():
+    truth = pose(10.0, (1.0, 0.0, 0.0))
+    answers = [
+        Timed(truth, 10.0, 9.0, 100.0),
+        Timed(truth @ pose(5.0), 20.0, 9.0, 200.0),
+        Timed(pose(10.0, (2.0, 0.0, 0.0)), 30.0, 9.0, 300.0),
+        Timed(None, 40.0, 9.0, 400.0),
+    ]
+    row = score("one", [truth] * 4, answers, Bars.of(2.0, rgbd=True))
+    assert (row["recall"], row["strict_recall"]) == (0.5, 0.25)
+    assert (row["pair_ms_median"], row["whole_ms_median"]) == (25.0, 250.0)
+
+
+def test_posed_views_are_measured_by_grave_and_ok():
+    bars = Bars.of(10.0, rgbd=False)
+    assert bars == Bars(recall_m=0.5, recall_deg=5.0, strict_m=0.2, strict_deg=2.0)
+
+
+def test_every_method_meets_the_same_pairs(tmp_path):
+    write_posed_views(tmp_path / "set", count=2)
+    run(tmp_path / "set", "sparse_noisy", tmp_path / "out")
+    with (tmp_path / "out" / "align.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["method"] for row in rows] == [
+        "fleetpose", "open3d_ransac_icp", "open3d_fgr_icp", "kiss_gicp",
+    ]  # fmt: skip
+    assert {row["pairs"] for row in rows} == {"1"}
+    assert all(float(row["whole_ms_median"]) > float(row["pair_ms_median"]) for row in rows)
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert set(summary["settings"]) == {peer.name for peer in PEERS}
+    assert summary["voxel_m"] == pytest.approx(0.025 * summary["median_depth_m"])
