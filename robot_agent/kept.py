@@ -3,7 +3,11 @@
 import threading
 from collections import deque
 
+from protocol.errors import CodecError
 from protocol.messages import ImageHeader, KeptView, View
+from robot_agent.wide import wide_view
+
+WIDE_KEPT = 8  # of the wide sets of salient points
 
 
 class KeptViews:
@@ -17,6 +21,7 @@ class KeptViews:
         self._epoch = epoch
         self._lock = threading.Lock()
         self._views: deque[KeptView] = deque(maxlen=capacity)
+        self._wide: deque[KeptView] = deque(maxlen=WIDE_KEPT)
 
     def keep(self, view: View, jpeg: bytes) -> KeptView:
         """Keeps a view; the oldest goes."""
@@ -25,6 +30,23 @@ class KeptViews:
         with self._lock:
             self._views.append(kept)
         return kept
+
+    def find_wide(self, seq: str | None, epoch: str | None) -> KeptView | str:
+        """The same view with the wide set of salient points and without its image; made on demand,
+        which takes up to a second or two, and kept for a while.
+        """
+        found = self.find(seq, epoch)
+        if isinstance(found, str):
+            return found
+        for wide in list(self._wide):  # only the thread that answers comes here
+            if wide.view.name == found.view.name:
+                return wide
+        try:
+            wide = KeptView(view=wide_view(found))
+        except CodecError as error:
+            return str(error)
+        self._wide.append(wide)
+        return wide
 
     def find(self, seq: str | None, epoch: str | None) -> KeptView | str:
         """The view of that number (the newest without one), or why there is none."""

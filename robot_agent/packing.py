@@ -4,6 +4,8 @@ import numpy as np
 
 from protocol.clouds import (
     SalientPoints,
+    decode_depth,
+    decode_scattered,
     encode_depth,
     encode_disparity,
     encode_salient,
@@ -43,6 +45,14 @@ def cloud_of(ranges: Ranges, model: Camera) -> DepthCloud | ScatteredCloud:
         )
     seen = _inside(ranges, model)
     return encode_scattered(seen.uv, seen.z, _depth_step_m(seen, model))
+
+
+def ranges_of(view: View) -> Ranges:
+    """What was measured, decoded again."""
+    cloud = view.cloud
+    if isinstance(cloud, ScatteredCloud):
+        return ScatteredPoints(*decode_scattered(cloud))
+    return DepthImage(decode_depth(cloud), cloud.step)
 
 
 def _inside(ranges: ScatteredPoints, model: Camera) -> ScatteredPoints:

@@ -169,7 +169,8 @@ class Sender:
         return jpeg.tobytes()
 
     def _answer(self, parameters: dict[str, str]) -> Answer:
-        found = self._kept.find(parameters.get("seq"), parameters.get("epoch"))
+        find = self._kept.find_wide if parameters.get("salient") == "wide" else self._kept.find
+        found = find(parameters.get("seq"), parameters.get("epoch"))
         if isinstance(found, str):
             return Answer(error=found)
         return Answer(pack(found), encoding_of(KeptView))

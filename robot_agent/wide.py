@@ -10,21 +10,39 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from protocol.clouds import SalientPoints
-from protocol.messages import Camera
+from protocol.clouds import SalientPoints, encode_salient
+from protocol.errors import CodecError
+from protocol.messages import Camera, KeptView, View
 from robot_agent.cameras.base import Ranges
-from robot_agent.salient import Keypoints, detect, grey_of, lifted_points
+from robot_agent.packing import ranges_of
+from robot_agent.salient import EXTRACTOR, Keypoints, detect, grey_of, lifted_points
 
 Floats = npt.NDArray[np.float64]
 
+MAX_POINTS = 3000
 LOW_CONTRAST = 0.015  # OpenCV's usual threshold is 0.04
 TILTED_CONTRAST = 0.03
 TILT = 2.0  # how much an image is squeezed; a surface seen from 60 deg
 DIRECTIONS_DEG = (0.0, 90.0, 45.0, 135.0)
 
 
+def wide_view(kept: KeptView) -> View:
+    """A kept view with the wide set in place of its usual salient points.
+
+    Raises:
+        CodecError: the view was kept without an image.
+    """
+    if kept.jpeg is None:
+        raise CodecError(f"view {kept.view.name} has no image to find salient points in")
+    grey = cv2.imdecode(np.frombuffer(kept.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+    if grey is None:
+        raise CodecError(f"the image of view {kept.view.name} is damaged")
+    found = wide_points(np.asarray(grey, np.uint8), ranges_of(kept.view), kept.view.camera)
+    return kept.view.model_copy(update={"salient": encode_salient(found, EXTRACTOR)})
+
+
 def wide_points(
-    image: npt.NDArray[np.uint8], ranges: Ranges, model: Camera, max_points: int = 5000
+    image: npt.NDArray[np.uint8], ranges: Ranges, model: Camera, max_points: int = MAX_POINTS
 ) -> SalientPoints:
     """Finds, describes and lifts the wide set; arguments as those of `salient_points`."""
     grey = grey_of(image)

@@ -13,6 +13,7 @@ Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
 RATIO = 0.9
+WIDE_RATIO = 0.95  # of wide sets: with tilted copies the second best is often the same place
 _COMMON_NOISE = NoiseScale(1.5, 1.2)  # candidates are compared at the same noise
 
 
@@ -23,15 +24,17 @@ class Pair:
         depth_m: median depth of both.
         sigma: relative sigma of the distance of two matching points along the ray.
         ratio: (M, 2) matches by descriptor alone, of points with depth.
+        similar_half: those of them whose descriptors are more similar than the others'.
     """
 
-    def __init__(self, i: PreparedView, j: PreparedView) -> None:
+    def __init__(self, i: PreparedView, j: PreparedView, ratio: float) -> None:
         self.i, self.j = i, j
         self.depth_m = 0.5 * (i.median_depth_m + j.median_depth_m)
         self.sigma = float(np.hypot(i.surface.depth_sigma, j.surface.depth_sigma))
         lifted_i, lifted_j = i.observed.lifted, j.observed.lifted
-        found, _ = ratio_matches(i.descriptors[lifted_i], j.descriptors[lifted_j], RATIO)
+        found, cosines = ratio_matches(i.descriptors[lifted_i], j.descriptors[lifted_j], ratio)
         self.ratio = np.column_stack((lifted_i[found[:, 0]], lifted_j[found[:, 1]]))
+        self.similar_half = self.ratio[cosines >= np.median(cosines)] if len(found) else self.ratio
 
     def points(self, matches: Indices) -> tuple[Floats, Floats]:
         return self.i.observed.points[matches[:, 0]], self.j.observed.points[matches[:, 1]]

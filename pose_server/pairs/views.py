@@ -15,7 +15,7 @@ from pose_server.geometry.noise import PointNoise
 from pose_server.geometry.observed import Observed
 from protocol.clouds import decode_salient, points_of, strongest
 from protocol.errors import CodecError
-from protocol.messages import NoiseModel, View, ViewName
+from protocol.messages import NoiseModel, Salient, View, ViewName
 
 Floats = npt.NDArray[np.floating]
 
@@ -27,6 +27,19 @@ _ICP_PIXELS = 8.0  # lateral resolution of ICP, in pixels at the median depth
 
 
 @dataclass(frozen=True)
+class MeasuredCloud:
+    """Points (N, 3) of a view's cloud, metres, prepared for ICP when first needed."""
+
+    points: Floats
+    resolution_m: float
+
+    @cached_property
+    def for_icp(self) -> DenseCloud:
+        """With covariances and a search tree."""
+        return dense_cloud(self.points, self.resolution_m)
+
+
+@dataclass(frozen=True)
 class PreparedView:
     """One view, ready to be aligned.
 
@@ -35,6 +48,7 @@ class PreparedView:
         observed: its salient points.
         descriptors: (N, D) float32 of unit length.
         surface: its cloud as pixels with depths.
+        measured: its cloud as points.
         noise: the camera's stated noise.
         median_depth_m: of the cloud.
     """
@@ -43,7 +57,7 @@ class PreparedView:
     observed: Observed
     descriptors: npt.NDArray[np.float32]
     surface: Surface
-    points: Floats
+    measured: MeasuredCloud
     noise: PointNoise
     median_depth_m: float
 
@@ -67,18 +81,21 @@ class PreparedView:
     @property
     def dense(self) -> bool:
         """Whether ICP makes sense."""
-        return len(self.points) >= DENSE_POINTS
+        return len(self.measured.points) >= DENSE_POINTS
 
     @cached_property
     def point_tree(self) -> cKDTree:
         """Of the lifted salient points, for the regression error."""
         return cKDTree(self.observed.points[self.observed.lifted])
 
-    @cached_property
-    def cloud(self) -> DenseCloud:
-        """The cloud prepared for ICP."""
-        lateral = _ICP_PIXELS * self.median_depth_m / self.observed.focal_px
-        return dense_cloud(self.points, max(lateral, 1e-3 * self.median_depth_m))
+    def with_salient(self, salient: Salient) -> "PreparedView":
+        """The same view with another set of salient points.
+
+        Raises:
+            CodecError: they are damaged.
+        """
+        observed, descriptors = _observed(salient, self.observed)
+        return replace(self, observed=observed, descriptors=descriptors)
 
 
 def point_noise(noise: NoiseModel) -> PointNoise:
@@ -95,18 +112,17 @@ def prepare_view(view: View) -> PreparedView:
     points = points_of(view, _CLOUD_POINTS)
     if len(points.xyz) < 10:
         raise CodecError(f"view {view.name} has {len(points.xyz)} points with depth, need 10")
-    salient = strongest(decode_salient(view.salient), _MATCHED_POINTS)
     camera = view.camera
-    descriptors = salient.descriptors.astype(np.float32)
-    norms = np.linalg.norm(descriptors, axis=1, keepdims=True)
-    observed = Observed(
-        K=camera.K,
-        size=(camera.width, camera.height),
-        uv=salient.uv.astype(np.float64),
-        inverse_depth=salient.inverse_depth.astype(np.float64),
-        inverse_depth_sigma=salient.inverse_depth_sigma.astype(np.float64),
-        pixel_sigma_px=camera.noise.pixel_sigma_px,
+    nothing = np.zeros(0)
+    empty = Observed(
+        camera.K,
+        (camera.width, camera.height),
+        np.zeros((0, 2)),
+        nothing,
+        nothing,
+        camera.noise.pixel_sigma_px,
     )
+    observed, descriptors = _observed(view.salient, empty)
     noise = point_noise(camera.noise)
     median = float(np.median(points.xyz[:, 2]))
     surface = Surface(
@@ -117,15 +133,32 @@ def prepare_view(view: View) -> PreparedView:
         sample=_sample(points.xyz, _SAMPLE_POINTS),
         depth_sigma=float(noise.depth_sigma(np.array(median))) / median,
     )
+    lateral = _ICP_PIXELS * median / observed.focal_px
     return PreparedView(
         name=view.name,
         observed=observed,
-        descriptors=descriptors / np.maximum(norms, 1e-6),
+        descriptors=descriptors,
         surface=surface,
-        points=points.xyz,
+        measured=MeasuredCloud(points.xyz, max(lateral, 1e-3 * median)),
         noise=noise,
         median_depth_m=median,
     )
+
+
+def _observed(
+    salient: Salient, of: Observed
+) -> tuple[Observed, npt.NDArray[np.float32]]:
+    """Salient points as seen by the camera of others, and their descriptors (N, D)."""
+    points = strongest(decode_salient(salient), _MATCHED_POINTS)
+    descriptors = points.descriptors.astype(np.float32)
+    norms = np.linalg.norm(descriptors, axis=1, keepdims=True)
+    observed = replace(
+        of,
+        uv=points.uv.astype(np.float64),
+        inverse_depth=points.inverse_depth.astype(np.float64),
+        inverse_depth_sigma=points.inverse_depth_sigma.astype(np.float64),
+    )
+    return observed, descriptors / np.maximum(norms, 1e-6)
 
 
 def _sample(points: Floats, count: int) -> Floats:

@@ -15,7 +15,7 @@ from pose_server.pairs.align import align_pair
 from pose_server.pairs.engine import Done, Job, run_job
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.moving import MOST_MASKED, moving_masks, without_moving
-from pose_server.pairs.pair import Pair
+from pose_server.pairs.pair import RATIO, Pair
 from pose_server.pairs.views import prepare_view
 from pose_server.site import Site
 from protocol.codec import pack
@@ -66,7 +66,7 @@ def test_nothing_is_masked_where_nothing_moves():
 
 def test_without_a_sure_alignment_there_is_no_mask():
     first, second, _ = views_of_one_robot(np.random.default_rng(1), 0.6)
-    pair = Pair(prepare_view(first), prepare_view(second))
+    pair = Pair(prepare_view(first), prepare_view(second), RATIO)
     sure = align_pair(pair.i, pair.j)
     assert moving_masks(pair, sure)[0] is not None
     assert moving_masks(pair, replace(sure, verdict="plausible")) == (None, None)
