@@ -5,11 +5,8 @@ wire, the server's preparation, the alignment.
 """
 
 import itertools
-import multiprocessing
-import random
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -25,14 +22,7 @@ from evaluation.datasets import (
     shared_tracks,
 )
 from evaluation.geometry import inverse
-from evaluation.pair_worker import (
-    Answer,
-    align,
-    encode,
-    prepare_ms,
-    true_overlap,
-    use_one_thread,
-)
+from evaluation.pair_worker import Answer, align, prepare_ms, true_overlap
 from evaluation.pairs_report import PairRow, write_results
 from evaluation.report import output_folder, progress_bar
 from evaluation.scoring import (
@@ -41,7 +31,7 @@ from evaluation.scoring import (
     position_error_m,
     rotation_error_deg,
 )
-from evaluation.strip import random_name, strip
+from evaluation.working import as_done, on_the_wire, worker_pool
 
 TILE = 16  # pairs are done in squares of so many views, so that the caches serve
 
@@ -67,20 +57,18 @@ def run(
     median_m = median_depth_m(recording)
     with (
         tempfile.TemporaryDirectory(prefix="fleetpose-") as folder,
-        ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), use_one_thread) as pool,
+        worker_pool(workers) as pool,
         progress_bar() as progress,
     ):
         views = {view.index: view for pair in pairs for view in pair}
-        wires, robot_ms = _on_the_wire(
-            recording, list(views.values()), Path(folder), pool, progress
-        )
+        wires, robot_ms = on_the_wire(recording, list(views.values()), Path(folder), pool, progress)
         server_ms = list(pool.map(prepare_ms, wires.values()))
         limits = Limits.of(median_m, recording.is_rgbd)
         task = progress.add_task("pairs", total=len(pairs))
         rows = []
         jobs = ((pair, (align, wires[pair[0].index], wires[pair[1].index])) for pair in pairs)
-        for (i, j), answer in _as_done(pool, jobs, in_flight=2 * workers + 2):
-            rows.append(_scored(i, j, answer, limits))
+        for (i, j), answer in as_done(pool, jobs, in_flight=2 * workers + 2):
+            rows.append(scored(i, j, answer, limits))
             progress.advance(task)
         _add_shared_or_overlap(recording, rows, pool, progress)
     rows.sort(key=lambda row: (row.i, row.j))
@@ -108,45 +96,8 @@ def limited(
     return [pairs[k] for k in sorted(set(chosen.tolist()))]
 
 
-def _on_the_wire(
-    recording: Recording,
-    views: Sequence[TrueView],
-    folder: Path,
-    pool: ProcessPoolExecutor,
-    progress: Any,
-) -> tuple[dict[int, Path], list[float]]:
-    """What every view's robot sends, in one file each, and the milliseconds it took the robot."""
-    rng = random.Random()
-    task = progress.add_task("views", total=len(views))
-    jobs: list[tuple[int, Future[float]]] = []
-    wires: dict[int, Path] = {}
-    for view in views:
-        robot = random_name(rng)
-        stripped = strip(recording, [view], folder / robot, rng)
-        wires[view.index] = folder / f"{robot}.msgpack"
-        job = pool.submit(encode, robot, stripped.camera, stripped.path, wires[view.index])
-        job.add_done_callback(lambda _: progress.advance(task))
-        jobs.append((view.index, job))
-    return wires, [job.result() for _, job in jobs]
-
-
-def _as_done(
-    pool: ProcessPoolExecutor, jobs: Iterable[tuple[Any, tuple[Any, ...]]], in_flight: int
-) -> Iterator[tuple[Any, Any]]:
-    """Runs (label, (function, *arguments)) in order and yields (label, result) as they are done."""
-    jobs = iter(jobs)
-    running: dict[Future[Any], Any] = {}
-    while True:
-        for label, call in itertools.islice(jobs, in_flight - len(running)):
-            running[pool.submit(*call)] = label
-        if not running:
-            return
-        done, _ = wait(running, return_when=FIRST_COMPLETED)
-        for future in done:
-            yield running.pop(future), future.result()
-
-
-def _scored(i: TrueView, j: TrueView, answer: Answer, limits: Limits) -> PairRow:
+def scored(i: TrueView, j: TrueView, answer: Answer, limits: Limits) -> PairRow:
+    """An answer beside the truth."""
     T_i_j_true = inverse(i.T_world_camera) @ j.T_world_camera
     position = rotation = None
     ok = grave = False
@@ -183,6 +134,6 @@ def _add_shared_or_overlap(
     if recording.is_rgbd or recording.clouds == "stereo_dense":
         task = progress.add_task("overlap", total=len(rows))
         jobs = ((row, (true_overlap, views[row.i], views[row.j], row.T_i_j_true)) for row in rows)
-        for row, value in _as_done(pool, jobs, in_flight=8):
+        for row, value in as_done(pool, jobs, in_flight=8):
             row.overlap = value
             progress.advance(task)
