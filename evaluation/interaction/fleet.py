@@ -15,7 +15,7 @@ from evaluation.datasets import TrueView
 from evaluation.geometry import inverse
 from evaluation.interaction.worker import ClickedAnswer
 from evaluation.scoring import position_error_m
-from evaluation.strip import random_name
+from evaluation.strip import distinct_names
 from pose_server.clicks import contradicts
 from pose_server.fleet.graph import solve_fleet
 from pose_server.fleet.types import ClickFactor, Edge, FleetSolution, SolveSettings
@@ -68,7 +68,7 @@ def solve_ring(
     """
     rng = random.Random(seed)
     names = {index: ViewName(robot=name, epoch=new_epoch(), seq=0) for index, name in
-             zip(views, _distinct(len(views), rng), strict=True)}  # fmt: skip
+             zip(views, distinct_names(len(views), rng), strict=True)}  # fmt: skip
     pairs = list(answers)
     rng.shuffle(pairs)
     nodes = sorted(names.values(), key=str)
@@ -102,13 +102,6 @@ def connected(pairs: Iterable[Pair]) -> list[set[int]]:
         sets = [one for one in sets if not one & set(pair)]
         sets.append(set(pair).union(*touched))
     return sets
-
-
-def _distinct(count: int, rng: random.Random) -> Sequence[str]:
-    names: dict[str, None] = {}
-    while len(names) < count:
-        names[random_name(rng)] = None
-    return list(names)
 
 
 def _edge(

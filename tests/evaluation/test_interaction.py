@@ -100,7 +100,7 @@ def test_the_paper_starts_by_the_model_that_its_clicks_determine(cloud):
     assert models == ["identity", "translation", "translation", "rigid", "affine", "affine"]
     for n in (3, 4, 5):
         assert np.allclose(paper.start(moved[:n], cloud[:n])[0], T_i_j, atol=1e-6)
-    shift = paper.start(cloud[:2] + (0.1, 0.2, 0.3), cloud[:2])[0]
+    shift = paper.start(transform(pose(t=(0.1, 0.2, 0.3)), cloud[:2]), cloud[:2])[0]
     assert np.allclose(shift, rigid(np.eye(3), np.array([0.1, 0.2, 0.3])))
 
 
