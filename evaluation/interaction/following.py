@@ -12,16 +12,24 @@ from evaluation.interaction import hand
 from evaluation.interaction.walks import Walk
 from evaluation.interaction.worker import as_job, encoded, kept, lifted, takes
 from evaluation.operator import by_view_depth
+from evaluation.pair_worker import prepared
 from evaluation.scoring import position_error_m, rotation_error_deg
 
 if TYPE_CHECKING:
     from pose_server.pairs.align import Start
     from pose_server.pairs.judging import PairResult
 
-Policy = Literal["with", "without", "without_but_carried"]
-POLICIES: tuple[Policy, ...] = ("with", "without", "without_but_carried")
+Policy = Literal["with", "without", "without_but_carried", "paper_with", "paper_without"]
+POLICIES: tuple[Policy, ...] = (
+    "with",
+    "without",
+    "without_but_carried",
+    "paper_with",
+    "paper_without",
+)
 """Clicks in the first views, the pose carried on; no clicks, each pair of views by itself; no
-clicks, what was found by itself carried on."""
+clicks, what was found by itself carried on. The same by the paper's ICP alone: from the carried
+pose, and from the identity."""
 CARRIED_SIGMA = 0.03
 """Of a carried start, share of the depth: what the server gives to starts from its graph."""
 
@@ -67,12 +75,12 @@ def follow(run: Run) -> list[Step]:
         return []
     own = [_motions(walk) for walk in (run.a, run.b)]
     poses: dict[Policy, Floats | None] = dict.fromkeys(POLICIES)
-    poses["with"] = T_clicked
+    poses["with"] = poses["paper_with"] = T_clicked
     poses["without_but_carried"] = _accepted_pose(_aligned(run, 0, ())[0])
     steps = []
     for k in range(1, len(run.a.wires)):
         _aligned(run, k, ())  # prepares both views: the times are those of the pair alone
-        for policy in POLICIES:
+        for policy in POLICIES[:3]:
             carried = _carried(poses[policy], own[0][k], own[1][k])
             result, align_ms = _aligned(run, k, _starts(carried))
             found = _accepted_pose(result)
@@ -80,7 +88,23 @@ def follow(run: Run) -> list[Step]:
             source = "none" if pose is None else "carried" if found is None else "alignment"
             steps.append(_step(policy, run, k, result, align_ms, pose, source))
             poses[policy] = None if policy == "without" else pose
+        for policy in POLICIES[3:]:
+            start = _carried(poses[policy], own[0][k], own[1][k])
+            poses[policy], step = _by_paper(policy, run, k, start)
+            steps.append(step)
     return steps
+
+
+def _by_paper(policy: Policy, run: Run, k: int, start: Floats | None) -> tuple[Floats | None, Step]:
+    """The paper's ICP from a start or from the identity, and the pose to carry on."""
+    from evaluation.interaction import paper
+
+    (i, _), (j, _) = prepared(run.a.wires[k]), prepared(run.b.wires[k])
+    T, icp_ms = paper.refined(i, j, np.eye(4) if start is None else start)
+    T_true = _true(run, k)
+    errors = position_error_m(T_true, T), rotation_error_deg(T_true, T)
+    step = Step(policy, run.number, k, "", "alignment", *errors, icp_ms, icp_ms)
+    return (None if policy == "paper_without" else T), step
 
 
 def _by_clicks(run: Run) -> Floats | None:

@@ -44,16 +44,23 @@ def align(i: PreparedView, j: PreparedView, p_i: Floats, p_j: Floats) -> PaperPo
         i, j: the views; their salient points with depth are used.
         p_i, p_j: (N, 3) clicked points in both camera frames, metres; N may be 0.
     """
-    icp = icp_engine()[1]
-    points_i, points_j = salient(i), salient(j)
-    radius_m = RADIUS_SHARE * 0.5 * (i.median_depth_m + j.median_depth_m)
     began = time.perf_counter()
     T, model = start(p_i, p_j)
-    started = time.perf_counter()
-    if min(len(points_i), len(points_j)) >= _FEWEST_POINTS:
-        T = icp(points_i, points_j, T, radius_m)
-    ended = time.perf_counter()
-    return PaperPose(T, model, 1e3 * (ended - started), 1e3 * (ended - began))
+    start_ms = 1e3 * (time.perf_counter() - began)
+    T, icp_ms = refined(i, j, T)
+    return PaperPose(T, model, icp_ms, start_ms + icp_ms)
+
+
+def refined(i: PreparedView, j: PreparedView, T_i_j: Floats) -> tuple[Floats, float]:
+    """T_i_j by ICP on the salient points, from a start, and the milliseconds of ICP."""
+    icp = icp_engine()[1]
+    points_i, points_j = salient(i), salient(j)
+    if min(len(points_i), len(points_j)) < _FEWEST_POINTS:
+        return T_i_j, 0.0
+    radius_m = RADIUS_SHARE * 0.5 * (i.median_depth_m + j.median_depth_m)
+    began = time.perf_counter()
+    T_i_j = icp(points_i, points_j, T_i_j, radius_m)
+    return T_i_j, 1e3 * (time.perf_counter() - began)
 
 
 def start(p_i: Floats, p_j: Floats) -> tuple[Floats, str]:

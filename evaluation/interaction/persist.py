@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from evaluation.datasets import Recording, median_depth_m, open_recording
-from evaluation.interaction.following import POLICIES, Run, Step, follow
+from evaluation.interaction.following import POLICIES, Policy, Run, Step, follow
 from evaluation.interaction.walks import Walk, recorded_walk, world_walk
 from evaluation.report import (
     new_figure,
@@ -42,12 +42,14 @@ class PersistOptions:
         views: followed after the clicks.
         clicks: in the first pair of views of a run.
         runs: at most, begun at different views, half of them walked back.
+        separation_deg: of the robots in the synthetic world.
     """
 
     data: Path | None = None
     views: int = 20
     clicks: int = 3
     runs: int = 10
+    separation_deg: float = 45.0
     workers: int = 2
     seed: int = 0
 
@@ -120,20 +122,27 @@ def summarize(steps: Sequence[Step], limits: Limits) -> dict[str, Any]:
     summary: dict[str, Any] = {"runs": len({step.run for step in steps})}
     for policy in POLICIES:
         summary[policy] = _sums([step for step in steps if step.policy == policy], limits)
+    summary["where_both_answer"] = _beside(steps, "with", "without")
+    summary["where_both_answer_paper"] = _beside(steps, "paper_with", "paper_without")
+    return summary
+
+
+def _beside(steps: Sequence[Step], policy: Policy, other_policy: Policy) -> dict[str, Any]:
+    """Mean errors and times of two policies over the steps in which both have a pose."""
     by_key = {(step.policy, step.run, step.step): step for step in steps}
     both = [
         (step, other)
         for step in steps
-        if step.policy == "with"
+        if step.policy == policy
         and step.position_error_m is not None
-        and (other := by_key["without", step.run, step.step]).position_error_m is not None
+        and (other := by_key[other_policy, step.run, step.step]).position_error_m is not None
     ]
     compared: dict[str, Any] = {"steps": len(both)}
     for name in ("position_error_m", "icp_ms", "align_ms"):
-        for k, policy in enumerate(("with", "without")):
+        for k, end in enumerate(("with", "without")):
             values = [vars(one[k])[name] for one in both]
-            compared[f"{name}_{policy}"] = float(np.mean(values)) if values else None
-    return {**summary, "where_both_answer": compared}
+            compared[f"{name}_{end}"] = float(np.mean(values)) if values else None
+    return compared
 
 
 def _sums(steps: Sequence[Step], limits: Limits) -> dict[str, Any]:
@@ -185,7 +194,10 @@ def _walks(
     """Both robots' walks; in the synthetic world a few views longer, for several runs."""
     if recording is None:
         views = options.views + 1 + options.runs // 2
-        jobs = [pool.submit(world_walk, options.seed, k, views, folder) for k in (0, 1)]
+        jobs = [
+            pool.submit(world_walk, options.separation_deg, options.seed, k, views, folder)
+            for k in (0, 1)
+        ]
     else:
         views = options.views + 1
         jobs = [pool.submit(recorded_walk, recording, k, views, folder) for k in (0, 1)]
@@ -196,4 +208,5 @@ def _print(summary: dict[str, Any]) -> None:
     columns = list(summary[POLICIES[0]])
     rows = [(name, *(summary[policy][name] for policy in POLICIES)) for name in columns]
     print_table("after the clicks", ("", *POLICIES), rows)
-    print_table("where both answer", ("", ""), list(summary["where_both_answer"].items()))
+    for name in ("where_both_answer", "where_both_answer_paper"):
+        print_table(name.replace("_", " "), ("", ""), list(summary[name].items()))

@@ -17,8 +17,6 @@ from protocol.errors import DataFolderError
 if TYPE_CHECKING:
     from robot_agent.cameras.base import Frame
 
-WORLD_SEPARATION_DEG = 45.0
-
 
 @dataclass(frozen=True)
 class Walk:
@@ -60,14 +58,14 @@ def recorded_walk(recording: Recording, robot: int, views: int, folder: Path) ->
     return Walk(_sent(name, frames, folder), np.array([view.T_world_camera for view in part]))
 
 
-def world_walk(seed: int, robot: int, views: int, folder: Path) -> Walk:
+def world_walk(separation_deg: float, seed: int, robot: int, views: int, folder: Path) -> Walk:
     """What one of two robots sends that walk in the synthetic world, a view a second; runs in a
     worker.
     """
     from evaluation.world import RingWorld
     from robot_agent.cameras.stereo import StereoMatcher
 
-    world = RingWorld(2, WORLD_SEPARATION_DEG, seed=seed, moving=True)
+    world = RingWorld(2, separation_deg, seed=seed, moving=True)
     matcher = StereoMatcher(world.rig)
     frames, poses = [], []
     for second in range(views):

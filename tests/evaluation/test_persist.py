@@ -1,6 +1,7 @@
 """`pose-eval persist` and `pose-eval clicks`: runs, intervals, and what they write."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,8 @@ def test_a_view_without_a_pose_counts_as_one_with_any_error():
     ]
     steps += [Step("without", 0, 1, "verified", "alignment", 0.01, 0.1, 2.0, 6.0)]
     steps += [Step("without", 0, k, "rejected", "none", None, None, 2.0, 6.0) for k in (2, 3)]
-    steps += [Step("without_but_carried", *list(vars(s).values())[1:]) for s in steps[:3]]
+    others = ("without_but_carried", "paper_with", "paper_without")
+    steps += [replace(step, policy=policy) for policy in others for step in steps[:3]]
     summary = summarize(steps, Limits.of(2.0, rgbd=True))
     assert summary["with"]["answered"] == 1.0
     assert summary["without"]["answered"] == pytest.approx(1 / 3)
