@@ -10,6 +10,14 @@ import typer
 app = typer.Typer(no_args_is_help=True, add_completion=False, rich_markup_mode=None)
 
 
+class RecipeOption(StrEnum):
+    """Ways to align a pair."""
+
+    paper = "paper"
+    full = "full"
+    both = "both"
+
+
 class CloudsOption(StrEnum):
     """Kinds of clouds of a posed-views folder."""
 
@@ -63,6 +71,132 @@ def align(
     from evaluation.align import run
 
     run(data, clouds.value if clouds else None, out, workers, limit, min_overlap)
+
+
+@app.command()
+def ring(
+    data: Data,
+    out: Out,
+    clouds: Clouds = None,
+    recipe: Annotated[
+        RecipeOption,
+        typer.Option(help="paper: its method alone; full: the server's; both: side by side."),
+    ] = RecipeOption.full,
+    wrong_clicks: Annotated[
+        float, typer.Option(min=0, max=1, help="Share of the clicks that are 50 px off.")
+    ] = 0.0,
+    draws: Annotated[int, typer.Option(min=1, help="Of clicks, per pair.")] = 20,
+    clicks: Annotated[str, typer.Option(help="Numbers of clicks per pair.")] = "0,1,2,3,4,5",
+    starts: Annotated[
+        int, typer.Option(min=1, help="Rings per separation, at most, each begun elsewhere.")
+    ] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    seed: Annotated[int, typer.Option(help="Of the clicks.")] = 0,
+) -> None:
+    """Put robots on rings at 5 to 45 degrees, click on all neighbours, and locate them: the paper's
+    Figs. 9 and 10.
+
+    Every separation that the views allow is one ring: regular angles where the recording tells each
+    view's place on its ring, every k-th view along the path elsewhere. Writes ring.csv, poses.csv,
+    pairs.csv, summary.json, fig9.png and fig10.png; a summary of the other recipe that is in the
+    folder already is drawn beside this one. `--recipe both` leaves the tables in OUT/paper and
+    OUT/full. Quick: --clicks 0,3 --draws 3.
+    """
+    from evaluation.interaction.ring import RingOptions, run
+
+    options = RingOptions(
+        data=data,
+        clouds=clouds.value if clouds else None,
+        recipe=recipe.value,
+        clicks=tuple(_numbers("--clicks", clicks)),
+        wrong_share=wrong_clicks,
+        draws=draws,
+        starts=starts,
+        workers=workers,
+        seed=seed,
+    )
+    run(options, out)
+
+
+@app.command()
+def clicks(
+    data: Data,
+    out: Out,
+    clouds: Clouds = None,
+    clicks: Annotated[int, typer.Option(min=0, help="Per pair.")] = 3,
+    wrong: Annotated[int, typer.Option(min=0, help="So many of them are 50 px off.")] = 0,
+    angles: Annotated[str, typer.Option(help="Between optical axes, degrees.")] = "40,90",
+    min_shared: Annotated[int, typer.Option(min=0, help="Points that both views see.")] = 30,
+    draws: Annotated[int, typer.Option(min=1, help="Of clicks, per pair.")] = 20,
+    limit: Annotated[int | None, typer.Option(min=1, help="So many pairs, spread evenly.")] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    seed: Annotated[int, typer.Option(help="Of the clicks.")] = 0,
+) -> None:
+    """Click in all pairs of views within a range of angles, rightly or wrongly; tell how often the
+    pose is right and the wrong clicks are named.
+
+    Three clicks at wide angles: --clicks 3 --angles 40,90. One of five wrong: --clicks 5 --wrong 1;
+    the summary then gives the success with the four right ones beside it.
+    """
+    from evaluation.interaction.clicks import ClicksOptions, run
+
+    low, high = _numbers("--angles", angles, 2)
+    options = ClicksOptions(
+        data=data,
+        clouds=clouds.value if clouds else None,
+        clicks=clicks,
+        wrong=wrong,
+        angles_deg=(low, high),
+        min_shared=min_shared,
+        draws=draws,
+        limit=limit,
+        workers=workers,
+        seed=seed,
+    )
+    run(options, out)
+
+
+@app.command()
+def synth(
+    out: Out,
+    robots: Annotated[int, typer.Option(min=8, max=72, help="Neighbours are 360/N deg apart.")],
+    seed: Annotated[int, typer.Option(help="Of textures and noise.")] = 0,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+) -> None:
+    """Write the synthetic world as a folder of posed views, robots on a ring at 360/N degrees.
+
+    Then run it: `pose-eval ring --data OUT --clouds stereo_dense --out RESULTS`.
+    """
+    from evaluation.synth import run
+
+    run(out, robots, seed, workers)
+
+
+@app.command()
+def persist(
+    out: Out,
+    data: Annotated[
+        Path | None, typer.Option(help="RGB-D folder with ground truth; else the synthetic world.")
+    ] = None,
+    views: Annotated[int, typer.Option(min=1, help="Followed after the clicks.")] = 20,
+    clicks: Annotated[int, typer.Option(min=3, help="In the first views of a run.")] = 3,
+    runs: Annotated[int, typer.Option(min=1, help="At most, begun at different views.")] = 10,
+    separation: Annotated[
+        float, typer.Option(min=1, max=180, help="Of the robots in the synthetic world, degrees.")
+    ] = 45.0,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    seed: Annotated[int, typer.Option(help="Of clicks and of the world.")] = 0,
+) -> None:
+    """Click once between two moving robots, then compare the next views with and without these
+    clicks: the paper's last claim.
+
+    With them, each alignment begins at the last pose, carried over by both robots' own motion, as
+    the server does it. Without them each pair of views begins anew. The paper's ICP alone is
+    measured beside both.
+    """
+    from evaluation.interaction.persist import PersistOptions, run
+
+    run(PersistOptions(data, views, clicks, runs, separation, workers, seed), out)
 
 
 @app.command()
@@ -195,6 +329,23 @@ def world(
     from evaluation.world_server import main as serve
 
     serve(robots, listen, seed, separation, moving, truth_file)
+
+
+def _numbers(option: str, text: str, count: int | None = None) -> list[int]:
+    """Whole numbers with commas between them.
+
+    Raises:
+        FleetPoseError: it is something else, or another count.
+    """
+    from protocol.errors import FleetPoseError
+
+    try:
+        numbers = [int(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if not numbers or (count is not None and len(numbers) != count):
+        raise FleetPoseError(f"{option} {text!r}: write numbers like 0,3 or 40,90")
+    return numbers
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from evaluation.memory import Memory
 from evaluation.observer import Observer
 from evaluation.operator import SimulatedOperator
 from evaluation.report import output_folder, progress_bar
-from evaluation.strip import StrippedFolder, random_name, strip
+from evaluation.strip import StrippedFolder, distinct_names, strip
 from evaluation.truth import RecordedTruth, Truth, WorldTruth
 from protocol.errors import DataFolderError, FleetPoseError
 from protocol.keys import Keys
@@ -304,11 +304,3 @@ def _doing(observer: Observer, plan: FleetPlan) -> str:
 def _replaying(name: str, folder: StrippedFolder, replay: tuple[str, ...]) -> RobotPlan:
     rate_hz = HELD_RATE_HZ if "hold" in replay else 1.0
     return RobotPlan(name, folder.camera, str(folder.path), replay, rate_hz)
-
-
-def distinct_names(count: int, rng: random.Random) -> list[str]:
-    """Random names for robots."""
-    names: dict[str, None] = {}
-    while len(names) < count:
-        names[random_name(rng)] = None
-    return list(names)

@@ -15,6 +15,7 @@ from evaluation.geometry import Floats
 from evaluation.scoring import OverlapCloud, overlap
 
 if TYPE_CHECKING:
+    from pose_server.pairs.judging import PairResult
     from pose_server.pairs.views import PreparedView
 
 CACHED_VIEWS = 64
@@ -87,7 +88,11 @@ def align(wire_i: Path, wire_j: Path) -> Answer:
     (i, _), (j, _) = prepared(wire_i), prepared(wire_j)
     began = time.perf_counter()
     result = align_pair(i, j)
-    align_ms = 1e3 * (time.perf_counter() - began)
+    return answer_of(result, 1e3 * (time.perf_counter() - began))
+
+
+def answer_of(result: "PairResult", align_ms: float) -> Answer:
+    """What the server would publish of a result."""
     return Answer(
         T_i_j=_floats(result.T_i_j),
         covariance=_floats(result.covariance),

@@ -5,11 +5,8 @@ wire, the server's preparation, the alignment.
 """
 
 import itertools
-import multiprocessing
-import random
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -26,14 +23,7 @@ from evaluation.datasets import (
 )
 from evaluation.geometry import inverse
 from evaluation.pair_row import PairRow
-from evaluation.pair_worker import (
-    Answer,
-    align,
-    encode,
-    prepare_ms,
-    true_overlap,
-    use_one_thread,
-)
+from evaluation.pair_worker import Answer, align, prepare_ms, true_overlap
 from evaluation.pairs_report import write_results
 from evaluation.report import output_folder, progress_bar
 from evaluation.scoring import (
@@ -42,7 +32,7 @@ from evaluation.scoring import (
     position_error_m,
     rotation_error_deg,
 )
-from evaluation.strip import random_name, strip
+from evaluation.working import as_done, on_the_wire, worker_pool
 
 TILE = 16  # pairs are done in squares of so many views, so that the caches serve
 
@@ -68,7 +58,7 @@ def run(
     median_m = median_depth_m(recording)
     with (
         tempfile.TemporaryDirectory(prefix="fleetpose-") as folder,
-        ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), use_one_thread) as pool,
+        worker_pool(workers) as pool,
         progress_bar() as progress,
     ):
         views = {view.index: view for pair in pairs for view in pair}
@@ -79,7 +69,7 @@ def run(
         rows = []
         jobs = ((pair, (align, wires[pair[0].index], wires[pair[1].index])) for pair in pairs)
         for (i, j), answer in as_done(pool, jobs, in_flight=2 * workers + 2):
-            rows.append(_scored(i, j, answer, limits))
+            rows.append(scored(i, j, answer, limits))
             progress.advance(task)
         _add_shared_or_overlap(recording, rows, pool, progress)
     rows.sort(key=lambda row: (row.i, row.j))
@@ -107,45 +97,8 @@ def limited(
     return [pairs[k] for k in sorted(set(chosen.tolist()))]
 
 
-def on_the_wire(
-    recording: Recording,
-    views: Sequence[TrueView],
-    folder: Path,
-    pool: ProcessPoolExecutor,
-    progress: Any,
-) -> tuple[dict[int, Path], list[float]]:
-    """What every view's robot sends, in one file each, and the milliseconds it took the robot."""
-    rng = random.Random()
-    task = progress.add_task("views", total=len(views))
-    jobs: list[tuple[int, Future[float]]] = []
-    wires: dict[int, Path] = {}
-    for view in views:
-        robot = random_name(rng)
-        stripped = strip(recording, [view], folder / robot, rng)
-        wires[view.index] = folder / f"{robot}.msgpack"
-        job = pool.submit(encode, robot, stripped.camera, stripped.path, wires[view.index])
-        job.add_done_callback(lambda _: progress.advance(task))
-        jobs.append((view.index, job))
-    return wires, [job.result() for _, job in jobs]
-
-
-def as_done(
-    pool: ProcessPoolExecutor, jobs: Iterable[tuple[Any, tuple[Any, ...]]], in_flight: int
-) -> Iterator[tuple[Any, Any]]:
-    """Runs (label, (function, *arguments)) in order and yields (label, result) as they are done."""
-    jobs = iter(jobs)
-    running: dict[Future[Any], Any] = {}
-    while True:
-        for label, call in itertools.islice(jobs, in_flight - len(running)):
-            running[pool.submit(*call)] = label
-        if not running:
-            return
-        done, _ = wait(running, return_when=FIRST_COMPLETED)
-        for future in done:
-            yield running.pop(future), future.result()
-
-
-def _scored(i: TrueView, j: TrueView, answer: Answer, limits: Limits) -> PairRow:
+def scored(i: TrueView, j: TrueView, answer: Answer, limits: Limits) -> PairRow:
+    """An answer beside the truth."""
     T_i_j_true = inverse(i.T_world_camera) @ j.T_world_camera
     position = rotation = None
     ok = grave = False

@@ -38,6 +38,14 @@ def random_name(rng: random.Random, first: str = "r") -> str:
     return first + "".join(rng.choices(string.ascii_lowercase + string.digits, k=5))
 
 
+def distinct_names(count: int, rng: random.Random) -> list[str]:
+    """Random names for robots."""
+    names: dict[str, None] = {}
+    while len(names) < count:
+        names[random_name(rng)] = None
+    return list(names)
+
+
 def strip(
     recording: Recording, views: Sequence[TrueView], folder: Path, rng: random.Random
 ) -> StrippedFolder:

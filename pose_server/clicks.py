@@ -78,16 +78,24 @@ def _judged(site: Site, kept: Kept) -> Judgement:
     if T_i_j is None:
         return "unused", None, None
     p = transform(T_i_j, kept.p_j[None])[0]
-    clicked = PointPairs(kept.p_i[None], kept.p_j[None], kept.C_i[None], kept.C_j[None])
-    distance2 = float(clicked.distance2(T_i_j)[0])
     u, v, w = site.views[kept.item.view_i].camera.K @ p
     residual_px = (
         float(np.hypot(u / w - kept.item.pixel_i[0], v / w - kept.item.pixel_i[1]))
         if w > 0
         else 1e6
     )
-    status = "outlier" if distance2 > OUTLIER_CHI2 else "accepted"
+    wrong = contradicts(T_i_j, (kept.p_i, kept.C_i), (kept.p_j, kept.C_j))
+    status = "outlier" if wrong else "accepted"
     return status, float(np.linalg.norm(kept.p_i - p)), residual_px
+
+
+def contradicts(T_i_j: Floats, at_i: tuple[Floats, Floats], at_j: tuple[Floats, Floats]) -> bool:
+    """Whether a clicked point, lifted in both views to ((3,) place, (3, 3) covariance), is too far
+    from itself under a relative pose.
+    """
+    (p_i, C_i), (p_j, C_j) = at_i, at_j
+    clicked = PointPairs(p_i[None], p_j[None], C_i[None], C_j[None])
+    return float(clicked.distance2(T_i_j)[0]) > OUTLIER_CHI2
 
 
 def _carried(here: Attached, p: Floats, C: Floats) -> tuple[Floats, Floats]:

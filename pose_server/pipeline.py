@@ -206,9 +206,7 @@ def restore(site: Site, clicked_views: Sequence[KeptView]) -> None:
 
 def _settings(site: Site, nodes: Sequence[ViewName]) -> SolveSettings:
     depth = float(np.median([site.views[node].median_depth_m for node in nodes]))
-    return SolveSettings(
-        floor_translation_m=3e-4 * depth, agree_translation_m=0.05 * depth, distinct_m=0.02 * depth
-    )
+    return SolveSettings.at_depth(depth)
 
 
 def _gauge(site: Site, nodes: Sequence[ViewName]) -> ViewName | None:

@@ -89,6 +89,15 @@ class SolveSettings:
     click_robust_sigmas: float = 3.0
     outvoted_limit: int = 8
 
+    @classmethod
+    def at_depth(cls, depth_m: float) -> "SolveSettings":
+        """Settings for a scene of this median depth."""
+        return cls(
+            floor_translation_m=3e-4 * depth_m,
+            agree_translation_m=0.05 * depth_m,
+            distinct_m=0.02 * depth_m,
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class NodePose:

@@ -145,9 +145,7 @@ def prepare_view(view: View) -> PreparedView:
     )
 
 
-def _observed(
-    salient: Salient, of: Observed
-) -> tuple[Observed, npt.NDArray[np.float32]]:
+def _observed(salient: Salient, of: Observed) -> tuple[Observed, npt.NDArray[np.float32]]:
     """Salient points as seen by the camera of others, and their descriptors (N, D)."""
     points = strongest(decode_salient(salient), _MATCHED_POINTS)
     descriptors = points.descriptors.astype(np.float32)

@@ -1,0 +1,169 @@
+"""A ring's fleet solved as the server does it: pair alignments and clicks in, positions out.
+
+The solver gets robots under random names and their links in a random order; what is next to what it
+is never told.
+"""
+
+import random
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluation.datasets import TrueView
+from evaluation.geometry import inverse
+from evaluation.interaction.worker import ClickedAnswer
+from evaluation.scoring import position_error_m
+from evaluation.strip import distinct_names
+from pose_server.clicks import contradicts
+from pose_server.fleet.graph import solve_fleet
+from pose_server.fleet.types import ClickFactor, Edge, FleetSolution, SolveSettings
+from protocol.keys import new_epoch
+from protocol.messages import ViewName
+
+_PAPER_SIGMA = 0.01
+"""Of the edges of answers without a covariance: share of the depth, and radians."""
+_FULL_POSE = 3
+
+Pair = tuple[int, int]
+"""Indices of two views."""
+
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What the server would say of a fleet, scored.
+
+    Attributes:
+        errors_m: position error by index of the view, of every robot that is joined with its
+            anchor; the anchors have none.
+        located: share of the robots that are joined with their anchor, the anchors left out.
+        marked: by pair, (N,) which clicks the server marks as outliers; none where it cannot tell.
+    """
+
+    errors_m: dict[int, float]
+    located: float
+    marked: dict[Pair, Mask | None]
+
+
+def solve_ring(
+    views: Mapping[int, TrueView],
+    answers: Mapping[Pair, ClickedAnswer],
+    depth_m: float,
+    seed: int = 0,
+) -> Solved:
+    """Solves for all robots of a ring and scores their positions.
+
+    A ring of which pairs were left out may fall into arcs: each is a fleet of its own, with its
+    own anchor, as nothing could tell where they are to each other.
+
+    Args:
+        views: by index, with their truth, of the robots.
+        answers: of the pairs that were aligned.
+        depth_m: median depth of the scene.
+        seed: of names and order.
+    """
+    rng = random.Random(seed)
+    names = {index: ViewName(robot=name, epoch=new_epoch(), seq=0) for index, name in
+             zip(views, distinct_names(len(views), rng), strict=True)}  # fmt: skip
+    pairs = list(answers)
+    rng.shuffle(pairs)
+    nodes = sorted(names.values(), key=str)
+    solution = solve_fleet(
+        nodes,
+        [edge for pair in pairs if (edge := _edge(names, pair, answers[pair], depth_m))],
+        list(_clicks(names, pairs, answers)),
+        newest={name.robot: name for name in nodes},
+        settings=SolveSettings.at_depth(depth_m),
+        wanted=(),
+    )
+    arcs = connected(answers)
+    anchors = tuple(min(arc, key=lambda index: str(names[index])) for arc in arcs)
+    errors = {
+        index: error
+        for arc, anchor in zip(arcs, anchors, strict=True)
+        for index in arc
+        if index != anchor
+        and (error := _error_m(solution, names, views, anchor, index)) is not None
+    }
+    robots = sum(map(len, arcs)) - len(anchors)
+    marked = {pair: _marked(solution, names, pair, answers[pair]) for pair in pairs}
+    return Solved(errors, len(errors) / max(robots, 1), marked)
+
+
+def connected(pairs: Iterable[Pair]) -> list[set[int]]:
+    """The sets of indices that pairs connect."""
+    sets: list[set[int]] = []
+    for pair in pairs:
+        touched = [one for one in sets if one & set(pair)]
+        sets = [one for one in sets if not one & set(pair)]
+        sets.append(set(pair).union(*touched))
+    return sets
+
+
+def _edge(
+    names: Mapping[int, ViewName], pair: Pair, clicked: ClickedAnswer, depth_m: float
+) -> Edge | None:
+    """The answer as the server files it; an answer without a verdict is believed."""
+    answer = clicked.answer
+    if answer.T_i_j is None or answer.verdict not in ("", "verified", "plausible"):
+        return None
+    a, b = names[pair[0]], names[pair[1]]
+    if answer.verdict == "":
+        sigmas = _PAPER_SIGMA * np.array([1.0] * 3 + [depth_m] * 3)
+        return Edge(a, b, answer.T_i_j, np.diag(sigmas**2))
+    assert answer.covariance is not None
+    operator = answer.start == "operator" and len(clicked.at_i.p) >= _FULL_POSE
+    verdict = "verified" if answer.verdict == "verified" else "plausible"
+    return Edge(a, b, answer.T_i_j, answer.covariance, verdict, operator=operator)
+
+
+def _clicks(
+    names: Mapping[int, ViewName], pairs: Sequence[Pair], answers: Mapping[Pair, ClickedAnswer]
+) -> Iterable[ClickFactor]:
+    """All clicks as the server's factors; the paper knows no such thing."""
+    number = 0
+    for pair in pairs:
+        clicked = answers[pair]
+        if clicked.answer.verdict == "":
+            continue
+        for k in range(len(clicked.at_i.p)):
+            number += 1
+            yield ClickFactor(
+                names[pair[0]],
+                names[pair[1]],
+                clicked.at_i.p[k],
+                clicked.at_j.p[k],
+                clicked.at_i.C[k],
+                clicked.at_j.C[k],
+                number,
+            )
+
+
+def _marked(
+    solution: FleetSolution, names: Mapping[int, ViewName], pair: Pair, clicked: ClickedAnswer
+) -> Mask | None:
+    relative = solution.relative(names[pair[0]], names[pair[1]])
+    if relative is None:
+        return None
+    i, j = clicked.at_i, clicked.at_j
+    ends = zip(i.p, i.C, j.p, j.C, strict=True)
+    return np.array([contradicts(relative.T_a_b, (a, A), (b, B)) for a, A, b, B in ends], bool)
+
+
+def _error_m(
+    solution: FleetSolution,
+    names: Mapping[int, ViewName],
+    views: Mapping[int, TrueView],
+    anchor: int,
+    index: int,
+) -> float | None:
+    """Position error of a robot with its anchor as gauge; none if they are not joined."""
+    relative = solution.relative(names[anchor], names[index])
+    if relative is None:
+        return None
+    T_true = inverse(views[anchor].T_world_camera) @ views[index].T_world_camera
+    return position_error_m(T_true, np.asarray(relative.T_a_b, np.float64))

@@ -1,0 +1,226 @@
+"""The results of `pose-eval ring`: ring.csv, poses.csv, summary.json, the paper's two figures."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evaluation.interaction.fleet import Solved
+from evaluation.interaction.ring_layout import Ring
+from evaluation.interaction.rows import ClickRow, write_rows
+from evaluation.report import new_figure, print_table, write_csv, write_summary
+from evaluation.scoring import percentile, share
+
+ALLOWED_SHARE = 0.001
+"""Of the depth, by which the full recipe's error without clicks may exceed the paper's with 3."""
+_COMPARED_CLICKS = (0, 3)
+_STYLES = {"paper": "--", "full": "-"}
+
+
+@dataclass(frozen=True)
+class RingRow:
+    """All rings of one separation with one number of clicks.
+
+    Attributes:
+        separation_deg: between neighbours.
+        clicks: on every pair of true neighbours.
+        robots, pairs: in all rings.
+        position_error_m: mean over robots and draws after the fleet solve, the anchor as gauge, of
+            the robots that are located.
+        success: share of the pairs, before the fleet solve, that are ok.
+        icp_ms, align_ms: means per pair.
+        located: share of the robots that are joined with their anchor.
+        position_error_median_m: like the mean.
+        pair_error_median_m: median of the pairs' own position errors; no answer counts as infinite.
+        named: share of the alignments with wrong clicks in which exactly these were marked.
+        success_right_clicks: success of these alignments without their wrong clicks.
+    """
+
+    separation_deg: float
+    clicks: int
+    robots: int
+    pairs: int
+    position_error_m: float | None
+    success: float | None
+    icp_ms: float
+    align_ms: float
+    located: float
+    position_error_median_m: float | None
+    pair_error_median_m: float | None
+    named: float | None = None
+    success_right_clicks: float | None = None
+
+
+def ring_row(
+    rings: Sequence[Ring], clicks: int, fleets: Sequence[Solved], rows: Sequence[ClickRow]
+) -> RingRow:
+    """Sums up the fleets and pairs of one separation and one number of clicks."""
+    errors = [error for fleet in fleets for error in fleet.errors_m.values()]
+    pair_errors = [np.inf if r.position_error_m is None else r.position_error_m for r in rows]
+    return RingRow(
+        separation_deg=rings[0].separation_deg,
+        clicks=clicks,
+        robots=sum(len(ring.views) for ring in rings),
+        pairs=len({(row.i, row.j) for row in rows}),
+        position_error_m=float(np.mean(errors)) if errors else None,
+        success=share(row.ok for row in rows),
+        icp_ms=float(np.mean([row.icp_ms for row in rows])),
+        align_ms=float(np.mean([row.align_ms for row in rows])),
+        located=float(np.mean([fleet.located for fleet in fleets])),
+        position_error_median_m=percentile(errors, 50),
+        pair_error_median_m=percentile(pair_errors, 50),
+        named=share(row.named for row in rows if row.named is not None),
+        success_right_clicks=share(
+            row.ok_right_only for row in rows if row.ok_right_only is not None
+        ),
+    )
+
+
+def write_results(
+    out: Path,
+    recipe: str,
+    table: Sequence[RingRow],
+    rows: Sequence[ClickRow],
+    median_depth_m: float,
+) -> dict[str, Any]:
+    """Writes ring.csv, poses.csv and pairs.csv of one recipe; returns its summary."""
+    cells = [vars(row) for row in table]
+    write_csv(out / "ring.csv", [field.name for field in fields(RingRow)], cells)
+    write_rows(out, rows)
+    shown = {"separation_deg": "deg", "clicks": "clicks", "pairs": "pairs",
+             "position_error_m": "error m", "located": "located", "success": "success",
+             "icp_ms": "icp ms", "align_ms": "align ms"}  # fmt: skip
+    print_table(
+        f"{recipe} recipe",
+        list(shown.values()),
+        [[cell[name] for name in shown] for cell in cells],
+    )
+    wrong = [row for row in rows if row.named is not None]
+    summary: dict[str, Any] = {
+        "recipe": recipe,
+        "median_depth_m": median_depth_m,
+        "pairs": len({(row.i, row.j) for row in rows}),
+        "rings": cells,
+    }
+    if recipe == "paper":
+        from evaluation.interaction.paper import icp_engine
+
+        summary["icp"] = icp_engine()[0]
+    if wrong:
+        summary["wrong_clicks"] = {
+            "alignments": len(wrong),
+            "named": share(bool(row.named) for row in wrong),
+            "success": share(row.ok for row in wrong),
+            "success_right_clicks": share(bool(row.ok_right_only) for row in wrong),
+        }
+    return summary
+
+
+def write_summaries(out: Path, summaries: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """Writes summary.json and the figures; both recipes together where both are there.
+
+    A recipe that an earlier run left in the same folder is drawn beside the new one.
+    """
+    if len(summaries) > 1:
+        for recipe, summary in summaries.items():
+            write_summary(out / recipe, summary)
+    alone = len(summaries) == 1
+    written: dict[str, Any] = dict(next(iter(summaries.values())) if alone else summaries)
+    both = {**_earlier(out), **summaries}
+    if "paper" in both and "full" in both:
+        written["full_without_clicks_beside_paper_with_three"] = compared(both)
+    write_summary(out, written)
+    plot_error_and_success(out / "fig9.png", both)
+    plot_times(out / "fig10.png", both)
+    return written
+
+
+def compared(summaries: Mapping[str, dict[str, Any]]) -> list[dict[str, Any]]:
+    """The full recipe without clicks beside the paper's with three, at every separation.
+
+    `met`: success is not lower, and the pairs' median error at most the paper's + 0.1 % of the
+    depth.
+    """
+    none, three = _COMPARED_CLICKS
+    slack_m = ALLOWED_SHARE * summaries["full"]["median_depth_m"]
+    paper = {r["separation_deg"]: r for r in summaries["paper"]["rings"] if r["clicks"] == three}
+    found = []
+    for full in summaries["full"]["rings"]:
+        beside = paper.get(full["separation_deg"])
+        if full["clicks"] != none or beside is None:
+            continue
+        error_m, limit_m = (_finite(r["pair_error_median_m"]) for r in (full, beside))
+        found.append(
+            {
+                "separation_deg": full["separation_deg"],
+                "success": full["success"],
+                "paper_success": beside["success"],
+                "error_median_m": error_m,
+                "paper_error_median_m": limit_m,
+                "met": full["success"] >= beside["success"] and error_m <= limit_m + slack_m,
+            }
+        )
+    return found
+
+
+def plot_error_and_success(path: Path, summaries: Mapping[str, dict[str, Any]]) -> None:
+    """Fig. 9: position error and success over separation, a curve per number of clicks."""
+    figure, axes = _two_axes()
+    _curves(axes[0], summaries, "position_error_m")
+    _curves(axes[1], summaries, "success")
+    axes[0].set(ylabel="mean robot position error, m", yscale="log")
+    axes[1].set(ylabel="share of pairs that are ok", ylim=(0, 1.03))
+    axes[0].legend(fontsize=7)
+    figure.savefig(path)
+
+
+def plot_times(path: Path, summaries: Mapping[str, dict[str, Any]]) -> None:
+    """Fig. 10: milliseconds of ICP, and of the whole alignment, over separation."""
+    figure, axes = _two_axes()
+    _curves(axes[0], summaries, "icp_ms")
+    _curves(axes[1], summaries, "align_ms")
+    axes[0].set(ylabel="ICP, ms per pair", ylim=(0, None))
+    axes[1].set(ylabel="whole alignment, ms per pair", ylim=(0, None))
+    axes[0].legend(fontsize=7)
+    figure.savefig(path)
+
+
+def _two_axes() -> tuple[Any, list[Any]]:
+    figure, axes = new_figure(11.0, 4.5)
+    axes.remove()
+    both = [figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)]
+    for one in both:
+        one.set(xlabel="separation of neighbours, deg")
+        one.grid(alpha=0.3)
+    return figure, both
+
+
+def _curves(axes: Any, summaries: Mapping[str, dict[str, Any]], value: str) -> None:
+    for recipe, summary in sorted(summaries.items()):
+        for clicks in sorted({row["clicks"] for row in summary["rings"]}):
+            rows = [r for r in summary["rings"] if r["clicks"] == clicks and r[value] is not None]
+            axes.plot(
+                [row["separation_deg"] for row in rows],
+                [row[value] for row in rows],
+                _STYLES[recipe],
+                marker="o",
+                markersize=3,
+                color=f"C{clicks}",
+                label=f"{recipe}, {clicks} clicks",
+            )
+
+
+def _earlier(out: Path) -> dict[str, dict[str, Any]]:
+    """The summary that an earlier run with one recipe left, by recipe."""
+    try:
+        summary = json.loads((out / "summary.json").read_text())
+        return {recipe: summary for recipe in (summary.get("recipe"),) if recipe in _STYLES}
+    except (OSError, ValueError, AttributeError):
+        return {}
+
+
+def _finite(value: float | None) -> float:
+    return np.inf if value is None else float(value)

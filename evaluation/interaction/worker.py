@@ -1,0 +1,210 @@
+"""What the workers do for one pair of views: the operator clicks, the server (or the paper's
+method) aligns.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluation.geometry import Floats
+from evaluation.interaction import hand
+from evaluation.interaction.hand import Clicked
+from evaluation.pair_worker import Answer, answer_of, prepared
+
+if TYPE_CHECKING:
+    from pose_server.geometry.lift import LiftedPoint
+    from pose_server.pairs.engine import EncodedView, Job
+    from pose_server.views import KeptView
+
+Recipe = Literal["paper", "full"]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """So many clicks, of which so many are wrong."""
+
+    clicks: int
+    wrong: int = 0
+
+
+@dataclass(frozen=True)
+class Task:
+    """One pair of views, one draw of clicks, aligned for each plan.
+
+    Attributes:
+        wire_i, wire_j: what the two robots sent.
+        true: (N, 2) pixels of both views that show the same points, known to the operator.
+        plans: plans with fewer clicks use the first ones of those with more.
+        seed: of choice and noise.
+    """
+
+    wire_i: Path
+    wire_j: Path
+    true: tuple[Floats, Floats]
+    plans: tuple[Plan, ...]
+    recipe: Recipe
+    seed: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Lifted:
+    """Clicked points in one view: (N, 3) places in the camera frame, (N, 3, 3) covariances."""
+
+    p: Floats
+    C: Floats
+
+
+@dataclass(frozen=True)
+class ClickedAnswer:
+    """What became of a plan.
+
+    Attributes:
+        answer: of the alignment.
+        icp_ms: of it, spent in ICP.
+        at_i, at_j: the clicked points.
+        wrong: (N,) which clicks are wrong.
+        right_only: the answer without the wrong clicks, where there were any.
+    """
+
+    answer: Answer
+    icp_ms: float
+    at_i: Lifted
+    at_j: Lifted
+    wrong: npt.NDArray[np.bool_]
+    right_only: Answer | None = None
+
+
+def run_task(task: Task) -> list[ClickedAnswer]:
+    """Clicks and aligns for each plan of a task, in their order."""
+    views = (kept(task.wire_i), kept(task.wire_j))
+    sizes = tuple((view.camera.width, view.camera.height) for view in views)
+    rng = np.random.default_rng(task.seed)
+    most = max(plan.clicks for plan in task.plans)
+    clicked = hand.right_clicks(task.true, most, rng, (sizes[0], sizes[1]), takes(views))
+    answers = []
+    for plan in task.plans:
+        some = clicked.first(plan.clicks)
+        if plan.wrong:
+            own = np.random.default_rng((*task.seed, plan.clicks))
+            lift = takes(views)
+            some = hand.with_wrong(some, plan.wrong, own, (sizes[0], sizes[1]), lift)
+        answers.append(_answered(task, views, some))
+    return answers
+
+
+def _answered(task: Task, views: Sequence["KeptView"], clicked: Clicked) -> ClickedAnswer:
+    at_i, at_j = (lifted(view, uv) for view, uv in zip(views, clicked.pixels, strict=True))
+    right_only = None
+    if clicked.wrong.any():
+        right = ~clicked.wrong
+        ends = (Lifted(at.p[right], at.C[right]) for at in (at_i, at_j))
+        right_only = _aligned(task, *ends)[0]
+    answer, icp_ms = _aligned(task, at_i, at_j)
+    return ClickedAnswer(answer, icp_ms, at_i, at_j, clicked.wrong, right_only)
+
+
+def _aligned(task: Task, at_i: Lifted, at_j: Lifted) -> tuple[Answer, float]:
+    if task.recipe == "paper":
+        return by_paper(task.wire_i, task.wire_j, at_i, at_j)
+    return by_server(task.wire_i, task.wire_j, at_i, at_j)
+
+
+def by_paper(wire_i: Path, wire_j: Path, at_i: Lifted, at_j: Lifted) -> tuple[Answer, float]:
+    """The paper's answer, and the milliseconds of its ICP."""
+    from evaluation.interaction import paper
+
+    (i, _), (j, _) = prepared(wire_i), prepared(wire_j)
+    found = paper.align(i, j, at_i.p, at_j.p)
+    answer = Answer(found.T_i_j, None, "", (), found.start, 0, found.align_ms)
+    return answer, found.icp_ms
+
+
+def by_server(wire_i: Path, wire_j: Path, at_i: Lifted, at_j: Lifted) -> tuple[Answer, float]:
+    """The server's answer by its own job for clicks, and the milliseconds of its ICP."""
+    from pose_server.pairs.engine import run_job
+
+    _prepare(wire_i, wire_j)
+    job = as_job(wire_i, wire_j, at_i, at_j)
+    began = time.perf_counter()
+    result = run_job(job)
+    align_ms = 1e3 * (time.perf_counter() - began)
+    return answer_of(result, align_ms), result.timings_ms.get("icp", 0.0)
+
+
+def as_job(wire_i: Path, wire_j: Path, at_i: Lifted, at_j: Lifted) -> "Job":
+    """The job that the server makes of a pair of views and the clicks in them."""
+    from pose_server.pairs.engine import Job
+    from pose_server.pairs.starts import Clicks
+
+    i, j = encoded(wire_i), encoded(wire_j)
+    if len(at_i.p) == 0:
+        return Job("pair", i, j)
+    uv_i, uv_j = (_pixels(wire, at.p) for wire, at in ((wire_i, at_i), (wire_j, at_j)))
+    sigma_i, sigma_j = (np.sqrt(at.C[:, 2, 2]) for at in (at_i, at_j))
+    clicks = Clicks(uv_i, uv_j, at_i.p[:, 2], at_j.p[:, 2], sigma_i, sigma_j)
+    return Job("clicks", i, j, clicks=clicks)
+
+
+def encoded(wire: Path) -> "EncodedView":
+    """A view as jobs name it."""
+    return kept(wire).encoded
+
+
+def _pixels(wire: Path, points: Floats) -> Floats:
+    """(N, 2) where points (N, 3) of a camera appear in its image."""
+    uvw = points @ kept(wire).camera.K.T
+    return uvw[:, :2] / uvw[:, 2:]
+
+
+@lru_cache(maxsize=8)
+def _prepare(wire_i: Path, wire_j: Path) -> None:
+    """Has two views prepared in this worker: the time of an alignment is then that of the pair."""
+    from pose_server.pairs.engine import Job, run_job
+
+    run_job(Job("pair", encoded(wire_i), encoded(wire_j)))
+
+
+@lru_cache(maxsize=64)
+def kept(wire: Path) -> "KeptView":
+    """A view as the server keeps it."""
+    from pose_server.views import open_view
+
+    return open_view(wire.read_bytes(), None, 0.0)
+
+
+def takes(views: Sequence["KeptView"]) -> hand.Lift:
+    """Tells of a pixel in one of two views whether the server takes a click there."""
+    return lambda view, pixel: lift(views[view], pixel)
+
+
+def lift(view: "KeptView", pixel: Floats) -> "LiftedPoint | None":
+    """The point under a click, by the server's own lifting; none where it refuses."""
+    from pose_server.lifting import NoDepthError
+
+    try:
+        return _lifter().lift(view, pixel)
+    except NoDepthError:
+        return None
+
+
+@lru_cache(maxsize=1)
+def _lifter():  # noqa: ANN202
+    from pose_server.lifting import Lifter
+
+    return Lifter()
+
+
+def lifted(view: "KeptView", pixels: Floats) -> Lifted:
+    """The points under clicks (N, 2) that the server takes."""
+    points = [point for uv in pixels if (point := lift(view, uv)) is not None]
+    assert len(points) == len(pixels)  # only clicks that the server takes are drawn
+    return Lifted(
+        np.array([point.p for point in points], np.float64).reshape(-1, 3),
+        np.array([point.C for point in points], np.float64).reshape(-1, 3, 3),
+    )

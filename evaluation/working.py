@@ -1,0 +1,59 @@
+"""What commands share that align recorded views: worker processes, views on the wire, jobs."""
+
+import itertools
+import multiprocessing
+import random
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from pathlib import Path
+from typing import Any
+
+from evaluation.datasets import Recording, TrueView
+from evaluation.pair_worker import encode, use_one_thread
+from evaluation.strip import random_name, strip
+
+
+def worker_pool(workers: int) -> ProcessPoolExecutor:
+    """Spawned processes whose libraries use one thread each."""
+    return ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), use_one_thread)
+
+
+def on_the_wire(
+    recording: Recording,
+    views: Sequence[TrueView],
+    folder: Path,
+    pool: ProcessPoolExecutor,
+    progress: Any,
+) -> tuple[dict[int, Path], list[float]]:
+    """What every view's robot sends, in one file each, and the milliseconds it took the robot.
+
+    Each robot works on a stripped folder of its own: nothing of the truth is in these files.
+    """
+    rng = random.Random()
+    task = progress.add_task("views", total=len(views))
+    jobs: list[tuple[int, Future[float]]] = []
+    wires: dict[int, Path] = {}
+    for view in views:
+        robot = random_name(rng)
+        stripped = strip(recording, [view], folder / robot, rng)
+        wires[view.index] = folder / f"{robot}.msgpack"
+        job = pool.submit(encode, robot, stripped.camera, stripped.path, wires[view.index])
+        job.add_done_callback(lambda _: progress.advance(task))
+        jobs.append((view.index, job))
+    return wires, [job.result() for _, job in jobs]
+
+
+def as_done(
+    pool: ProcessPoolExecutor, jobs: Iterable[tuple[Any, tuple[Any, ...]]], in_flight: int
+) -> Iterator[tuple[Any, Any]]:
+    """Runs (label, (function, *arguments)) in order and yields (label, result) as they are done."""
+    jobs = iter(jobs)
+    running: dict[Future[Any], Any] = {}
+    while True:
+        for label, call in itertools.islice(jobs, in_flight - len(running)):
+            running[pool.submit(*call)] = label
+        if not running:
+            return
+        done, _ = wait(running, return_when=FIRST_COMPLETED)
+        for future in done:
+            yield running.pop(future), future.result()
