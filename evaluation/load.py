@@ -13,17 +13,14 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import islice
 
-import cv2
-
 from evaluation.fleet import FleetPlan, RobotPlan
 from protocol.codec import encoding_of, pack
 from protocol.errors import DataFolderError, FleetPoseError
 from protocol.keys import Keys, new_epoch
-from protocol.messages import CameraAnnouncement, KeptView, View, ViewName
+from protocol.messages import CameraAnnouncement, ImageHeader, KeptView, View, ViewName
 from protocol.presence import Presence
 from protocol.transport import (
     ENCODING_JPEG,
-    Answer,
     Link,
     SessionSettings,
     open_session,
@@ -31,7 +28,7 @@ from protocol.transport import (
 )
 from robot_agent.cameras.base import Frame
 from robot_agent.cameras.factory import open_camera
-from robot_agent.kept import KeptViews
+from robot_agent.kept import KeptViews, kept_view
 from robot_agent.packing import view_of
 from robot_agent.salient import salient_points
 from robot_agent.sender import SenderSettings
@@ -116,8 +113,7 @@ def _record(source: Source, frames: int, settings: SenderSettings) -> list[KeptV
 def _encoded(frame: Frame, settings: SenderSettings) -> KeptView:
     salient = salient_points(frame.image, frame.ranges, frame.model, settings.max_salient)
     name = ViewName(robot="recorded", epoch="0" * 12, seq=0)
-    _, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, settings.jpeg_quality])
-    return KeptView(view=view_of(name, frame, salient), jpeg=jpeg.tobytes())
+    return kept_view(view_of(name, frame, salient), frame.image, settings.jpeg_quality)
 
 
 class _Replayed:
@@ -142,7 +138,7 @@ class _Replayed:
         link.latched(keys.camera(name)).put(pack(announced), encoding_of(CameraAnnouncement))
         self._cloud = link.bulk(keys.cloud(name))
         self._image = link.bulk(keys.image(name), background=True)
-        link.queryable(keys.view(name), self._answer)
+        link.queryable(keys.view(name), self._kept.answer)
 
     def show_next(self) -> None:
         """Publishes the next view under a new name."""
@@ -151,16 +147,11 @@ class _Replayed:
         self._seq += 1
         view = shown.view.model_copy(update={"name": name, "stamp_ns": time.time_ns()})
         assert shown.jpeg is not None
-        kept = self._kept.keep(view, shown.jpeg)
+        image = ImageHeader(view=name, stamp_ns=view.stamp_ns)
+        self._kept.keep(KeptView(view=view, jpeg=shown.jpeg, image=image))
         self._cloud.put(pack(view), encoding_of(View))
-        if self._image.wanted and kept.image is not None:
-            self._image.put(shown.jpeg, ENCODING_JPEG, attachment=pack(kept.image))
-
-    def _answer(self, parameters: dict[str, str]) -> Answer:
-        found = self._kept.find(parameters.get("seq"), parameters.get("epoch"))
-        if isinstance(found, str):
-            return Answer(error=found)
-        return Answer(pack(found), encoding_of(KeptView))
+        if self._image.wanted:
+            self._image.put(shown.jpeg, ENCODING_JPEG, attachment=pack(image))
 
 
 def _back_and_forth(views: list[KeptView]) -> Iterator[KeptView]:

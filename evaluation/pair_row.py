@@ -8,6 +8,7 @@ from evaluation.geometry import Floats
 from evaluation.report import pose_cells
 from evaluation.scoring import nees
 
+ENOUGH_SHARED = 30
 VERDICTS = ("verified", "plausible", "ambiguous", "rejected")
 
 
@@ -32,6 +33,12 @@ class PairRow:
     reasons: str
     shared: int | None = None
     overlap: float | None = None
+    wide: bool = False
+
+    @property
+    def enough_shared(self) -> bool:
+        """Whether the truth knows enough points in common for the pair to be expected to work."""
+        return self.shared is None or self.shared >= ENOUGH_SHARED
 
     def cells(self) -> dict[str, Any]:
         """One row of the CSV files."""

@@ -23,7 +23,9 @@ CACHED_VIEWS = 64
 
 @dataclass(frozen=True)
 class Answer:
-    """What the server would publish of a pair; nobody here knows the truth."""
+    """What the server would publish of a pair; nobody here knows the truth. `wide`: whether the
+    usual salient points had not settled it.
+    """
 
     T_i_j: Floats | None
     covariance: Floats | None
@@ -32,6 +34,7 @@ class Answer:
     start: str
     inliers: int
     align_ms: float
+    wide: bool = False
 
 
 def use_one_thread() -> None:
@@ -41,6 +44,9 @@ def use_one_thread() -> None:
     import cv2
 
     cv2.setNumThreads(1)
+    from pose_server.pairs import engine
+
+    engine.use_one_thread()
 
 
 def encode(robot: str, camera: str, folder: Path, wire: Path) -> float:
@@ -49,6 +55,7 @@ def encode(robot: str, camera: str, folder: Path, wire: Path) -> float:
     from protocol.keys import new_epoch
     from protocol.messages import ViewName
     from robot_agent.cameras.factory import open_camera
+    from robot_agent.kept import kept_view
     from robot_agent.packing import view_of
     from robot_agent.salient import salient_points
 
@@ -57,9 +64,32 @@ def encode(robot: str, camera: str, folder: Path, wire: Path) -> float:
     began = time.perf_counter()
     salient = salient_points(frame.image, frame.ranges, frame.model)
     name = ViewName(robot=robot, epoch=new_epoch(), seq=0)
-    payload = codec.pack(view_of(name, frame, salient))
+    view = view_of(name, frame, salient)
+    payload = codec.pack(view)
     elapsed_ms = 1e3 * (time.perf_counter() - began)
     wire.write_bytes(payload)
+    wire.with_suffix(".kept").write_bytes(codec.pack(kept_view(view, frame.image)))
+    return elapsed_ms
+
+
+def widen(wire: Path) -> float:
+    """Does an agent's work for one view whose wide set is asked for, the first time that it is;
+    returns the milliseconds, 0 if it was done before.
+    """
+    from protocol import codec
+    from protocol.messages import KeptView
+    from robot_agent.wide import wide_view
+
+    wide = wire.with_suffix(".wide")
+    if wide.exists():
+        return 0.0
+    kept = codec.unpack(KeptView, wire.with_suffix(".kept").read_bytes())
+    began = time.perf_counter()
+    payload = codec.pack(wide_view(kept))
+    elapsed_ms = 1e3 * (time.perf_counter() - began)
+    mine = wide.with_suffix(f".wide-{os.getpid()}")
+    mine.write_bytes(payload)
+    mine.replace(wide)
     return elapsed_ms
 
 
@@ -76,22 +106,39 @@ def prepared(wire: Path) -> tuple["PreparedView", float]:
     return view, 1e3 * (time.perf_counter() - began)
 
 
+@lru_cache(maxsize=CACHED_VIEWS)
+def widened(wire: Path) -> "PreparedView":
+    """The same view with its wide set of salient points, which its robot makes now."""
+    from protocol import codec
+    from protocol.messages import View
+
+    widen(wire)
+    payload = wire.with_suffix(".wide").read_bytes()
+    return prepared(wire)[0].with_salient(codec.unpack(View, payload).salient)
+
+
 def prepare_ms(wire: Path) -> float:
     """Milliseconds that the server's share of a view takes."""
     return prepared(wire)[1]
 
 
 def align(wire_i: Path, wire_j: Path) -> Answer:
-    """Aligns two views, automatic starts only."""
-    from pose_server.pairs.align import align_pair
+    """Aligns two views, automatic starts only; what is done once per view is not timed."""
+    from pose_server.pairs.align import align_pair, align_wide, is_settled
 
     (i, _), (j, _) = prepared(wire_i), prepared(wire_j)
     began = time.perf_counter()
     result = align_pair(i, j)
-    return answer_of(result, 1e3 * (time.perf_counter() - began))
+    align_ms = 1e3 * (time.perf_counter() - began)
+    if is_settled(result):
+        return answer_of(result, align_ms)
+    wide_i, wide_j = widened(wire_i), widened(wire_j)
+    began = time.perf_counter()
+    result = align_wide(wide_i, wide_j, result)
+    return answer_of(result, align_ms + 1e3 * (time.perf_counter() - began), wide=True)
 
 
-def answer_of(result: "PairResult", align_ms: float) -> Answer:
+def answer_of(result: "PairResult", align_ms: float, wide: bool = False) -> Answer:
     """What the server would publish of a result."""
     return Answer(
         T_i_j=_floats(result.T_i_j),
@@ -101,6 +148,7 @@ def answer_of(result: "PairResult", align_ms: float) -> Answer:
         start=result.start,
         inliers=int(result.inliers),
         align_ms=align_ms,
+        wide=wide,
     )
 
 

@@ -122,6 +122,7 @@ def scored(i: TrueView, j: TrueView, answer: Answer, limits: Limits) -> PairRow:
         start=answer.start,
         inliers=answer.inliers,
         reasons="; ".join(answer.reasons),
+        wide=answer.wide,
     )
 
 

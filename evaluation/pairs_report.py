@@ -28,7 +28,7 @@ SUCCESS_BINS = ((0.1, 0.2), (0.2, 0.3), (0.3, 0.4), (0.4, 0.5), (0.5, 1.0))
 OVERLAP_BINS = ((0.0, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.5), (0.5, 1.0))
 POSE_FILE_COLUMNS = ("i", "j", "verdict", "align_ms", *POSE_COLUMNS, *COVARIANCE_COLUMNS)
 TRUTH_COLUMNS = ("shared", "overlap", "angle_deg", "position_error_m", "rotation_error_deg")
-REMARK_COLUMNS = ("start", "inliers", "reasons")
+REMARK_COLUMNS = ("start", "wide", "inliers", "reasons")
 
 
 def write_results(
@@ -66,6 +66,8 @@ def summarize(
         "median_depth_m": median_depth_m,
         "view_ms": percentile(view_ms, 50),
         "align_ms_median": percentile([row.align_ms for row in rows], 50),
+        "align_ms_settled": _median_ms(rows, wide=False),
+        "align_ms_with_fallbacks": _median_ms(rows, wide=True),
         "pairs": len(rows),
         "ok": share(row.ok for row in rows),
         "ok_below_60": share(row.ok for row in below_60),
@@ -93,10 +95,16 @@ def summarize(
     }
 
 
+def _median_ms(rows: Sequence[PairRow], wide: bool) -> float | None:
+    """Of answered pairs that the usual salient points settled, or that went on to the wide ones."""
+    some = [row.align_ms for row in rows if row.wide == wide and row.T_i_j is not None]
+    return percentile(some, 50) if some else None
+
+
 def _shares(rows: Sequence[PairRow]) -> dict[str, dict[str, Any]]:
-    """The shares that count, with intervals."""
-    near = [row for row in rows if row.angle_deg < 60]
-    far = [row for row in rows if 60 <= row.angle_deg < 90]
+    """The shares that count, of pairs with enough in common, with intervals."""
+    near = [row for row in rows if row.enough_shared and row.angle_deg < 60]
+    far = [row for row in rows if row.enough_shared and 60 <= row.angle_deg < 90]
     return {
         "ok_below_60": _interval(near, [row.ok for row in near]),
         "ok_60_90": _interval(far, [row.ok for row in far]),

@@ -5,10 +5,10 @@ comes, and older ones that an operator looks at.
 import numpy as np
 
 from pose_server.fleet.types import Edge
-from pose_server.pairs.align import Start
 from pose_server.pairs.candidates import candidate_views, offer_keyframe
 from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.judging import PairResult
+from pose_server.pairs.refining import Start
 from pose_server.pairs.tracking import accepted, moved
 from pose_server.site import Robot, Site
 from pose_server.views import STILL_PX, KeptView, stands_still

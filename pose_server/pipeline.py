@@ -16,10 +16,10 @@ from pose_server.correspondences.book import Outcome
 from pose_server.fleet.graph import solve_fleet
 from pose_server.fleet.types import Edge, SolveSettings
 from pose_server.following import back_job, followed, look_back, newest_arrived, track_job
-from pose_server.pairs.align import Start
 from pose_server.pairs.candidates import offer_keyframe, weights
 from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.judging import PairResult
+from pose_server.pairs.refining import Start
 from pose_server.pairs.tracking import Attached, accepted
 from pose_server.site import RobotPair, Site, on_keyframes
 from pose_server.views import KeptView

@@ -3,11 +3,27 @@
 import threading
 from collections import deque
 
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from protocol.codec import encoding_of, pack
 from protocol.errors import CodecError
 from protocol.messages import ImageHeader, KeptView, View
+from protocol.transport import Answer
 from robot_agent.wide import wide_view
 
+JPEG_QUALITY = 85
 WIDE_KEPT = 8  # of the wide sets of salient points
+
+
+def kept_view(
+    view: View, image: npt.NDArray[np.uint8], jpeg_quality: int = JPEG_QUALITY
+) -> KeptView:
+    """A view with its image (H, W, 3) or (H, W)."""
+    _, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
+    header = ImageHeader(view=view.name, stamp_ns=view.stamp_ns)
+    return KeptView(view=view, jpeg=jpeg.tobytes(), image=header)
 
 
 class KeptViews:
@@ -23,13 +39,20 @@ class KeptViews:
         self._views: deque[KeptView] = deque(maxlen=capacity)
         self._wide: deque[KeptView] = deque(maxlen=WIDE_KEPT)
 
-    def keep(self, view: View, jpeg: bytes) -> KeptView:
+    def keep(self, kept: KeptView) -> None:
         """Keeps a view; the oldest goes."""
-        header = ImageHeader(view=view.name, stamp_ns=view.stamp_ns)
-        kept = KeptView(view=view, jpeg=jpeg, image=header)
         with self._lock:
             self._views.append(kept)
-        return kept
+
+    def answer(self, parameters: dict[str, str]) -> Answer:
+        """What `view?seq=;epoch=;salient=` replies: the newest view without a number; with
+        `salient=wide` its wide set of salient points.
+        """
+        find = self.find_wide if parameters.get("salient") == "wide" else self.find
+        found = find(parameters.get("seq"), parameters.get("epoch"))
+        if isinstance(found, str):
+            return Answer(error=found)
+        return Answer(pack(found), encoding_of(KeptView))
 
     def find_wide(self, seq: str | None, epoch: str | None) -> KeptView | str:
         """The same view with the wide set of salient points and without its image; made on demand,

@@ -9,15 +9,13 @@ import threading
 import time
 from dataclasses import dataclass
 
-import cv2
-
 from protocol.codec import encoding_of, pack
 from protocol.errors import FleetPoseError
 from protocol.keys import Keys
 from protocol.messages import Camera, CameraAnnouncement, KeptView, View, ViewName
-from protocol.transport import ENCODING_JPEG, Answer, Link
+from protocol.transport import ENCODING_JPEG, Link
 from robot_agent.cameras.base import Frame
-from robot_agent.kept import KeptViews
+from robot_agent.kept import JPEG_QUALITY, KeptViews, kept_view
 from robot_agent.packing import view_of
 from robot_agent.salient import salient_points
 
@@ -40,7 +38,7 @@ class SenderSettings:
 
     rate_hz: float = 1.0
     max_salient: int = 1600
-    jpeg_quality: int = 85
+    jpeg_quality: int = JPEG_QUALITY
     keep_views: int = 30
 
 
@@ -64,7 +62,7 @@ class Sender:
         self._closed = False
         self._failure: Exception | None = None
         self.dropped = 0
-        link.queryable(keys.view(name), self._answer)
+        link.queryable(keys.view(name), self._kept.answer)
         self._thread = threading.Thread(target=self._run, name=f"sender {name}", daemon=True)
         self._thread.start()
 
@@ -139,7 +137,8 @@ class Sender:
         salient = salient_points(frame.image, frame.ranges, frame.model, self._settings.max_salient)
         salient_s = time.monotonic()
         view = view_of(name, frame, salient)
-        kept = self._kept.keep(view, self._jpeg(frame))
+        kept = kept_view(view, frame.image, self._settings.jpeg_quality)
+        self._kept.keep(kept)
         payload = pack(view)
         encoded_s = time.monotonic()
         self._cloud.put(payload, encoding_of(View))
@@ -162,15 +161,3 @@ class Sender:
             return 0
         self._image.put(kept.jpeg, ENCODING_JPEG, attachment=pack(kept.image))
         return len(kept.jpeg)
-
-    def _jpeg(self, frame: Frame) -> bytes:
-        quality = [cv2.IMWRITE_JPEG_QUALITY, self._settings.jpeg_quality]
-        _, jpeg = cv2.imencode(".jpg", frame.image, quality)
-        return jpeg.tobytes()
-
-    def _answer(self, parameters: dict[str, str]) -> Answer:
-        find = self._kept.find_wide if parameters.get("salient") == "wide" else self._kept.find
-        found = find(parameters.get("seq"), parameters.get("epoch"))
-        if isinstance(found, str):
-            return Answer(error=found)
-        return Answer(pack(found), encoding_of(KeptView))

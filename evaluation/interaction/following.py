@@ -16,8 +16,8 @@ from evaluation.pair_worker import prepared
 from evaluation.scoring import position_error_m, rotation_error_deg
 
 if TYPE_CHECKING:
-    from pose_server.pairs.align import Start
     from pose_server.pairs.judging import PairResult
+    from pose_server.pairs.refining import Start
 
 Policy = Literal["with", "without", "without_but_carried", "paper_with", "paper_without"]
 POLICIES: tuple[Policy, ...] = (
@@ -146,7 +146,7 @@ def _carried(T_a_b: Floats | None, own_a: Floats | None, own_b: Floats | None) -
 
 
 def _starts(carried: Floats | None) -> tuple["Start", ...]:
-    from pose_server.pairs.align import Start
+    from pose_server.pairs.refining import Start
 
     return () if carried is None else (Start("graph", carried, CARRIED_SIGMA),)
 

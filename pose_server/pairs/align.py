@@ -8,6 +8,10 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+import numpy.typing as npt
+
+from pose_server.geometry.se3 import rotation_angle
 from pose_server.pairs.byproducts import with_byproducts
 from pose_server.pairs.judging import PairResult, judged
 from pose_server.pairs.pair import RATIO, WIDE_RATIO, Pair
@@ -23,9 +27,13 @@ from pose_server.pairs.refining import (
 )
 from pose_server.pairs.views import PreparedView
 
+Floats = npt.NDArray[np.floating]
+Indices = npt.NDArray[np.int64]
+
 _STRONG_INLIERS = 60
 _STRONG_SIGMA, _WEAK_SIGMA = 0.003, 0.006  # raw, share of the depth
 _SETTLED_INLIERS, _SETTLED_SIGMA = 25, 0.007
+_SAME_POSE = 0.02  # share of the depth and radians; two such starts lead to the same place
 _WIDE_ICP_RADII = (0.03, 0.015, 0.0075)  # starts from wide matches are coarse
 
 
@@ -77,21 +85,36 @@ def align_wide(i: PreparedView, j: PreparedView, usual: PairResult) -> PairResul
     """
     began = time.perf_counter()
     pair = Pair(i, j, WIDE_RATIO)
-    candidates: list[Candidate] = []
-    for matches in (pair.ratio, pair.similar_half):
-        found = solved(pair, matches)
-        if found is None:
-            continue
-        candidates += from_matches(pair, *found, "wide")
-        if i.dense and j.dense:
-            candidates.append(with_icp(pair, candidate(pair, "wide", found[0]), _WIDE_ICP_RADII))
+    found = _different(pair, [solved(pair, pair.ratio), solved(pair, pair.similar_half)])
+    candidates = [one for T, agrees in found for one in from_matches(pair, T, agrees, "wide")]
     if not candidates:
         return usual
     if usual.T_i_j is not None:
         candidates.append(candidate(pair, usual.start, usual.T_i_j))
-    result = _finished(pair, candidates, _judge_best(pair, candidates))
+    result = _judge_best(pair, candidates)
+    if result.verdict == "rejected" and i.dense and j.dense:
+        rough = [candidate(pair, "wide", T) for T, _ in found]
+        candidates += [with_icp(pair, one, _WIDE_ICP_RADII) for one in rough]
+        result = _judge_best(pair, candidates)
+    result = _finished(pair, candidates, result)
     timings = {**usual.timings_ms, "wide": 1e3 * (time.perf_counter() - began)}
     return replace(result, timings_ms=timings, depths=usual.depths, moving=usual.moving)
+
+
+def _different(
+    pair: Pair, solutions: Sequence[tuple[Floats, Indices] | None]
+) -> list[tuple[Floats, Indices]]:
+    """The solutions there are, of those that are the same pose the first."""
+    kept: list[tuple[Floats, Indices]] = []
+    for one in solutions:
+        if one is not None and not any(_same_pose(pair, one[0], other[0]) for other in kept):
+            kept.append(one)
+    return kept
+
+
+def _same_pose(pair: Pair, a: Floats, b: Floats) -> bool:
+    shift = float(np.linalg.norm(a[:3, 3] - b[:3, 3])) / pair.depth_m
+    return max(shift, rotation_angle(a[:3, :3].T @ b[:3, :3])) < _SAME_POSE
 
 
 def is_settled(result: PairResult) -> bool:

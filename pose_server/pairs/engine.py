@@ -17,9 +17,10 @@ from typing import Literal
 import numpy as np
 
 from pose_server.geometry.motion import Mask
-from pose_server.pairs.align import Start, align_pair
+from pose_server.pairs.align import align_pair, align_wide, is_settled
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.moving import without_moving
+from pose_server.pairs.refining import Start
 from pose_server.pairs.starts import Clicks, operator_start, with_operator_fallback
 from pose_server.pairs.views import PreparedView, prepare_view
 from protocol.arrays import MAX_DISTANCE_M
@@ -36,13 +37,19 @@ Purpose = Literal["clicks", "track", "pair"]
 
 @dataclass(frozen=True)
 class EncodedView:
-    """A view as it came over the wire, which workers prepare once, and where something moves in
-    it.
+    """A view as it came over the wire, which workers prepare once.
+
+    Attributes:
+        name: the view.
+        payload: its bytes.
+        mask: where something moves in it.
+        wide: bytes of the same view with the wide set of salient points, where its robot was asked.
     """
 
     name: ViewName
     payload: bytes
     mask: Mask | None = None
+    wide: bytes | None = None
 
 
 @dataclass(frozen=True)
@@ -56,6 +63,7 @@ class Job:
         starts: poses to begin from, camera j in camera i.
         features: whether to look for a start by features as well.
         clicks: the operator's correspondences between the two views.
+        usual: what the usual salient points gave, where the wide ones are to be tried now.
     """
 
     purpose: Purpose
@@ -64,6 +72,7 @@ class Job:
     starts: tuple[Start, ...] = ()
     features: bool = True
     clicks: Clicks | None = None
+    usual: PairResult | None = None
 
 
 @dataclass(frozen=True)
@@ -155,6 +164,14 @@ def _start_worker(parent: int) -> None:
     libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
+    use_one_thread()
+
+
+def use_one_thread() -> None:
+    """Has this process compute in one thread, and keep its scratch memory: the processes are the
+    parallelism.
+    """
+    libc = ctypes.CDLL(None)
     libc.mallopt(_M_TRIM_THRESHOLD, 1 << 29)  # scratch arrays are reused instead of given back:
     libc.mallopt(_M_MMAP_THRESHOLD, 1 << 25)  # page faults had cost more than the arithmetic
     from threadpoolctl import threadpool_limits
@@ -163,6 +180,7 @@ def _start_worker(parent: int) -> None:
 
 
 _prepared: OrderedDict[ViewName, PreparedView] = OrderedDict()
+_widened: OrderedDict[ViewName, PreparedView] = OrderedDict()
 
 
 def run_job(job: Job) -> PairResult:
@@ -176,7 +194,14 @@ def run_job(job: Job) -> PairResult:
         operator = operator_start(i, j, job.clicks, job.starts)
         if operator is not None:
             starts.append(operator.start)
-    result = align_pair(i, j, starts, job.features)
+    result = job.usual
+    if result is None:
+        result = align_pair(i, j, starts, job.features)
+    if job.i.wide is not None and job.j.wide is not None and not is_settled(result):
+        wide_i, wide_j = (
+            without_moving(_wide(encoded), encoded.mask) for encoded in (job.i, job.j)
+        )
+        result = align_wide(wide_i, wide_j, result)
     return _finite(with_operator_fallback(result, operator, i, j))
 
 
@@ -189,13 +214,34 @@ def _finite(result: PairResult) -> PairResult:
 
 
 def _view(encoded: EncodedView) -> PreparedView:
-    if encoded.name in _prepared:
-        _prepared.move_to_end(encoded.name)
-        return _prepared[encoded.name]
-    view = prepare_view(unpack(View, encoded.payload))
-    if view.name != encoded.name:
-        raise CodecError(f"view {encoded.name} holds {view.name}")
-    _prepared[encoded.name] = view
-    while len(_prepared) > _CACHED_VIEWS:
-        _prepared.popitem(last=False)
+    return _cached(
+        _prepared, encoded.name, lambda: prepare_view(_opened(encoded.name, encoded.payload))
+    )
+
+
+def _wide(encoded: EncodedView) -> PreparedView:
+    assert encoded.wide is not None
+    payload = encoded.wide
+    return _cached(
+        _widened,
+        encoded.name,
+        lambda: _view(encoded).with_salient(_opened(encoded.name, payload).salient),
+    )
+
+
+def _opened(name: ViewName, payload: bytes) -> View:
+    view = unpack(View, payload)
+    if view.name != name:
+        raise CodecError(f"view {name} holds {view.name}")
     return view
+
+
+def _cached(
+    cache: OrderedDict[ViewName, PreparedView], name: ViewName, make: Callable[[], PreparedView]
+) -> PreparedView:
+    if name not in cache:
+        cache[name] = make()
+    cache.move_to_end(name)
+    while len(cache) > _CACHED_VIEWS:
+        cache.popitem(last=False)
+    return cache[name]

@@ -18,8 +18,8 @@ from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.refine import NoiseScale, Refinement, refine
 from pose_server.geometry.se3 import position_covariance
 from pose_server.geometry.spread import check_points, dimension
-from pose_server.pairs.align import Start
 from pose_server.pairs.judging import PairResult
+from pose_server.pairs.refining import Start
 from pose_server.pairs.views import PreparedView
 
 Floats = npt.NDArray[np.floating]

@@ -7,7 +7,8 @@ import pytest
 
 from pose_server.geometry.evidence import agreement
 from pose_server.geometry.se3 import inverse, rotation_angle
-from pose_server.pairs.align import Start, align_pair
+from pose_server.pairs.align import align_pair
+from pose_server.pairs.refining import Start
 from pose_server.pairs.starts import Clicks, operator_start, with_operator_fallback
 from pose_server.pairs.verdict import Evidence, judge
 from pose_server.pairs.views import prepare_view

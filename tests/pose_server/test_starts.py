@@ -8,8 +8,8 @@ import pytest
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.gravity import Gravity
 from pose_server.geometry.se3 import inverse, retract, rotation_angle, transform
-from pose_server.pairs.align import Start
 from pose_server.pairs.judging import PairResult
+from pose_server.pairs.refining import Start
 from pose_server.pairs.starts import (
     Clicks,
     operator_start,
