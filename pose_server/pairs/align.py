@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from pose_server.geometry.se3 import rotation_angle
 from pose_server.pairs.byproducts import with_byproducts
 from pose_server.pairs.judging import PairResult, judged
 from pose_server.pairs.pair import RATIO, WIDE_RATIO, Pair
@@ -31,9 +30,8 @@ Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
 _STRONG_INLIERS = 60
-_STRONG_SIGMA, _WEAK_SIGMA = 0.003, 0.006  # raw, share of the depth
-_SETTLED_INLIERS, _SETTLED_SIGMA = 25, 0.007
-_SAME_POSE = 0.02  # share of the depth and radians; two such starts lead to the same place
+_STRONG_SIGMA, _WEAK_SIGMA = 0.0055, 0.011  # share of the depth
+_SETTLED_INLIERS, _SETTLED_SIGMA = 25, 0.0127
 _WIDE_ICP_RADII = (0.03, 0.015, 0.0075)  # starts from wide matches are coarse
 
 
@@ -107,14 +105,9 @@ def _different(
     """The solutions there are, of those that are the same pose the first."""
     kept: list[tuple[Floats, Indices]] = []
     for one in solutions:
-        if one is not None and not any(_same_pose(pair, one[0], other[0]) for other in kept):
+        if one is not None and not any(pair.same_pose(one[0], other[0]) for other in kept):
             kept.append(one)
     return kept
-
-
-def _same_pose(pair: Pair, a: Floats, b: Floats) -> bool:
-    shift = float(np.linalg.norm(a[:3, 3] - b[:3, 3])) / pair.depth_m
-    return max(shift, rotation_angle(a[:3, :3].T @ b[:3, :3])) < _SAME_POSE
 
 
 def is_settled(result: PairResult) -> bool:

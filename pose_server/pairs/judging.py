@@ -21,7 +21,7 @@ Indices = npt.NDArray[np.int64]
 # Matches share depth errors, so that the raw covariance is too sure: inflated, with a floor, it
 # was calibrated on one data set and checked on others (variance factor; radians and shares of the
 # median depth).
-COVARIANCE_INFLATION = 4.0
+COVARIANCE_INFLATION = 3.0
 COVARIANCE_FLOOR = 3e-4
 
 
@@ -60,11 +60,14 @@ def judged(pair: Pair, T: Floats, start: str) -> PairResult:
         final = pair.scored(T, matches, again.noise)
     except DegenerateGeometryError as error:
         return PairResult(T, None, "rejected", (str(error),), overlap=seen.overlap, start=start)
-    covariance = _calibrated(final.information, pair.depth_m)
+    # copies of one spot in several tilted images tell one thing, not several
+    places = _places(pair, matches[final.inliers])
+    information = final.information * (places / max(int(final.inliers.sum()), 1))
+    covariance = _calibrated(information, pair.depth_m)
     if covariance is None:
         reason = "the matches do not determine a pose"
         return PairResult(T, None, "rejected", (reason,), overlap=seen.overlap, start=start)
-    evidence = _evidence(pair, T, matches, final, again, covariance, seen)
+    evidence = _evidence(pair, T, matches, final, again, covariance, places, seen)
     verdict, reasons = judge(evidence)
     error_m2, count = regression_error(pair, T)
     return PairResult(
@@ -89,20 +92,19 @@ def _evidence(
     final: Refinement,
     again: Refinement,
     covariance: Floats,
+    places: int,
     seen: Agreement,
 ) -> Evidence:
     ratio = pair.scored(T, pair.ratio, again.noise) if len(pair.ratio) >= 3 else None
     consistent = _places(pair, pair.ratio[ratio.inliers]) if ratio else 0
-    raw = np.linalg.inv(final.information)
     inliers = final.inliers
     return Evidence(
-        inliers=_places(pair, matches[inliers]),
+        inliers=places,
         ratio_inliers=consistent,
         ratio_matches=len(pair.ratio),
-        rival=_rival(pair, ratio),
-        position_sigma=float(np.sqrt(np.linalg.eigvalsh(position_covariance(T, raw))[-1]))
-        / pair.depth_m,
-        rotation_sigma_rad=float(np.sqrt(np.linalg.eigvalsh(raw[:3, :3])[-1])),
+        rival=_rival(pair, T, ratio, again.noise),
+        position_sigma=_weakest(position_covariance(T, covariance)) / pair.depth_m,
+        rotation_sigma_rad=_weakest(covariance[:3, :3]),
         across_px=_robust_sigma(final.across_px[inliers]),
         pixel_sigma_px=float(
             np.hypot(pair.i.observed.pixel_sigma_px, pair.j.observed.pixel_sigma_px)
@@ -115,6 +117,11 @@ def _evidence(
         spread=_spread(pair, matches[inliers]),
         depth_noise=again.noise.depth,
     )
+
+
+def _weakest(covariance: Floats) -> float:
+    """Sigma of the weakest direction."""
+    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
 
 
 def _robust_sigma(residuals: Floats) -> float:
@@ -142,8 +149,10 @@ def _spread(pair: Pair, matches: Indices) -> float:
     return min(shares)
 
 
-def _rival(pair: Pair, ratio: Refinement | None) -> int:
-    """Support of the best other pose, searched among the matches that the winner leaves over."""
+def _rival(pair: Pair, T: Floats, ratio: Refinement | None, noise: NoiseScale) -> int:
+    """Support of the best other pose, searched among the matches that the winner leaves over and
+    counted by the same measure as the winner's.
+    """
     if ratio is None:
         return 0
     rest = pair.ratio[~ratio.inliers]
@@ -151,7 +160,16 @@ def _rival(pair: Pair, ratio: Refinement | None) -> int:
         return 0
     p_i, p_j = pair.points(rest)
     found = robust.solve(p_i / pair.depth_m, p_j / pair.depth_m, 0.01)
-    return _places(pair, rest[found[1]]) if found else 0
+    if found is None:
+        return 0
+    other = found[0].copy()
+    other[:3, 3] *= pair.depth_m
+    try:
+        other = pair.refined(other, rest[found[1]], noise, 4).T_i_j
+        supported = pair.scored(other, pair.ratio, noise).inliers
+    except DegenerateGeometryError:
+        return 0
+    return 0 if pair.same_pose(T, other) else _places(pair, pair.ratio[supported])
 
 
 def _calibrated(information: Floats, depth_m: float) -> Floats | None:

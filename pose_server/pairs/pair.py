@@ -6,7 +6,7 @@ import numpy.typing as npt
 from pose_server.geometry.evidence import Agreement, agreement
 from pose_server.geometry.matching import guided_matches, one_to_one, ratio_matches
 from pose_server.geometry.refine import NoiseScale, Refinement, refine
-from pose_server.geometry.se3 import inverse
+from pose_server.geometry.se3 import inverse, rotation_angle
 from pose_server.pairs.views import PreparedView
 
 Floats = npt.NDArray[np.floating]
@@ -14,6 +14,7 @@ Indices = npt.NDArray[np.int64]
 
 RATIO = 0.9
 WIDE_RATIO = 0.95  # of wide sets: with tilted copies the second best is often the same place
+_SAME_POSE = 0.02  # share of the depth, and radians
 _COMMON_NOISE = NoiseScale(1.5, 1.2)  # candidates are compared at the same noise
 
 
@@ -72,6 +73,11 @@ class Pair:
         )
         both = np.concatenate((into_j, into_i[:, ::-1]))
         return one_to_one(both, np.concatenate((score_j, score_i)))
+
+    def same_pose(self, a: Floats, b: Floats) -> bool:
+        """Whether two poses are one: a start from either leads to the same place."""
+        shift = float(np.linalg.norm(a[:3, 3] - b[:3, 3])) / self.depth_m
+        return max(shift, rotation_angle(a[:3, :3].T @ b[:3, :3])) < _SAME_POSE
 
     def agreement(self, T: Floats) -> Agreement:
         return agreement(self.i.surface, self.j.surface, T)

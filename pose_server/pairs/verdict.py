@@ -7,6 +7,11 @@ from typing import Literal
 
 Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
 
+# What is verified is not gravely wrong: three sigma of its weakest direction lie within 5 % of the
+# median depth, and within 5 deg.
+_VERIFIED_POSITION = 0.05
+_VERIFIED_ROTATION_RAD = 0.087
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -17,8 +22,8 @@ class Evidence:
         ratio_inliers: of these, the ones found by descriptor alone.
         ratio_matches: matches found by descriptor alone.
         rival: ratio matches that agree with the best other pose.
-        position_sigma: raw sigma of the weakest direction of the position, share.
-        rotation_sigma_rad: raw sigma of the weakest rotation.
+        position_sigma: calibrated sigma of the weakest direction of the position, share.
+        rotation_sigma_rad: calibrated sigma of the weakest rotation.
         across_px: sigma of the residuals across the epipolar lines.
         pixel_sigma_px: what it should be by the cameras' noise.
         shift: how far a refit on the matches moves the position, share.
@@ -64,7 +69,7 @@ def _against(e: Evidence) -> tuple[str, ...]:
         (e.inliers < 8, f"only {e.inliers} matches agree, need 8"),
         (e.through > 0.25, f"{e.through:.0%} of the moved cloud is seen through"),
         (e.compared >= 20 and e.agree < 0.25, f"only {e.agree:.0%} of the surfaces agree in depth"),
-        (e.position_sigma > 0.05, f"position sigma {e.position_sigma:.1%} of the depth"),
+        (e.position_sigma > 0.09, f"position sigma {e.position_sigma:.1%} of the depth"),
     )
 
 
@@ -75,12 +80,14 @@ def _doubts(e: Evidence) -> tuple[str, ...]:
         (e.inliers < 14, f"{e.inliers} matches agree, need 14"),
         (e.ratio_inliers < 10, f"{e.ratio_inliers} unguided matches agree, need 10"),
         (
-            e.position_sigma > 0.012,
-            f"position sigma {e.position_sigma:.1%} of the depth, need 1.2 %",
+            3 * e.position_sigma > _VERIFIED_POSITION,
+            f"three sigma of the position are {3 * e.position_sigma:.1%} of the depth, need "
+            f"{_VERIFIED_POSITION:.0%}",
         ),
         (
-            e.rotation_sigma_rad > 0.014,
-            f"rotation sigma {e.rotation_sigma_rad:.3f} rad, need 0.014",
+            3 * e.rotation_sigma_rad > _VERIFIED_ROTATION_RAD,
+            f"three sigma of the rotation are {3 * e.rotation_sigma_rad:.3f} rad, need "
+            f"{_VERIFIED_ROTATION_RAD:.3f}",
         ),
         (
             e.across_px > allowed_px,
