@@ -7,7 +7,8 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from protocol.codec import unpack
+from pose_server.views import open_view
+from protocol.codec import pack, unpack
 from protocol.drops import Drops
 from protocol.errors import CodecError, FleetPoseError
 from protocol.keys import Keys
@@ -17,6 +18,7 @@ from protocol.transport import Sample
 log = logging.getLogger(__name__)
 
 TIMEOUT_S = 2.0
+WIDE_TIMEOUT_S = 10.0  # robots make wide sets when asked, one after the other
 _AT_ONCE = 4  # a robot that does not answer must not hold up the others
 _MOST_WAITING = 200
 
@@ -28,6 +30,14 @@ class Fetched:
     name: ViewName
     kept: KeptView | None
     reason: str = ""
+
+
+@dataclass(frozen=True)
+class FetchedWide:
+    """A view with its wide set of salient points, encoded; none where the robot has none."""
+
+    name: ViewName
+    payload: bytes | None
 
 
 @dataclass(frozen=True)
@@ -43,7 +53,7 @@ class Fetcher:
     Args:
         keys: of the site.
         query: asks one selector with a timeout in seconds; raises a FleetPoseError.
-        store: takes each `Fetched` and `FetchedNewest`, in another thread.
+        store: takes each `Fetched`, `FetchedNewest` and `FetchedWide`, in another thread.
         drops: where answers that are no views are counted.
     """
 
@@ -51,7 +61,7 @@ class Fetcher:
         self,
         keys: Keys,
         query: Callable[[str, float], Sample],
-        store: Callable[[Fetched | FetchedNewest], None],
+        store: Callable[[Fetched | FetchedNewest | FetchedWide], None],
         drops: Drops | None = None,
     ) -> None:
         self._keys, self._query, self._store = keys, query, store
@@ -74,6 +84,10 @@ class Fetcher:
         if robot not in self._asked_newest and len(self._asked_newest) < _MOST_WAITING:
             self._asked_newest.add(robot)
             self._pool.submit(self._fetch_newest, robot)
+
+    def ask_wide(self, name: ViewName) -> None:
+        """Asks a robot for the wide set of a view."""
+        self._pool.submit(self._fetch_wide, name)
 
     def close(self) -> None:
         """Drops what waits; what is asked now ends within its timeout."""
@@ -104,9 +118,23 @@ class Fetcher:
         finally:
             self._asked_newest.discard(robot)
 
-    def _answer(self, robot: str, which: str = "") -> KeptView:
+    def _fetch_wide(self, name: ViewName) -> None:
+        payload = None
+        which = f"?seq={name.seq};epoch={name.epoch};salient=wide"
+        try:
+            kept = self._answer(name.robot, which, WIDE_TIMEOUT_S)
+            if kept.view.name != name:
+                raise CodecError(f"another view than asked: {kept.view.name} for {name}")
+            payload = open_view(pack(kept.view), None, 0.0).payload
+        except FleetPoseError as error:
+            if isinstance(error, CodecError):
+                self._drops.note(self._keys.view(name.robot), error)
+            log.info("no wide set name=%s reason=%s", name, error)
+        self._store(FetchedWide(name, payload))
+
+    def _answer(self, robot: str, which: str = "", timeout_s: float = TIMEOUT_S) -> KeptView:
         """What a robot has, its newest view where none is named."""
-        answer = self._query(self._keys.view(robot) + which, TIMEOUT_S)
+        answer = self._query(self._keys.view(robot) + which, timeout_s)
         kept = unpack(KeptView, answer.payload, answer.encoding)
         if kept.view.name.robot != robot:
             raise CodecError(f"a view of another robot than asked: {kept.view.name}")

@@ -23,6 +23,7 @@ from pose_server.pairs.refining import Start
 from pose_server.pairs.tracking import Attached, accepted
 from pose_server.site import RobotPair, Site, on_keyframes
 from pose_server.views import KeptView
+from pose_server.widening import note_open, wide_job
 from protocol.errors import CodecError
 from protocol.messages import OperatorUpdate, Selection, ViewName
 
@@ -122,10 +123,13 @@ def next_job(site: Site, now_s: float) -> Job | None:
     site.click_had_turn = False
     site.pair_is_due = not site.pair_is_due
     joining = _pair_job(site, now_s, joining=True) if site.pair_is_due else None
+    site.widening.due = not site.widening.due
     return (
         joining
         or track_job(site)
+        or (wide_job(site) if site.widening.due else None)
         or _pair_job(site, now_s, joining=True)
+        or wide_job(site)
         or _pair_job(site, now_s, joining=False)
     )
 
@@ -285,6 +289,7 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
         return
     note_depths(site, done)
     record.tried.setdefault((i, j), set()).add(done.job.purpose)
+    note_open(site, done)
     record.last, record.last_views = done.result, (i, j)
     if _is_better(done.result, record.best):
         record.best, record.best_views = done.result, (i, j)

@@ -11,12 +11,12 @@ import time
 from concurrent.futures import Future
 from contextlib import suppress
 
-from pose_server import alarms, answers, pipeline, publish
+from pose_server import alarms, answers, pipeline, publish, widening
 from pose_server.awaiting import Awaiting
 from pose_server.correspondences.book import Outcome
 from pose_server.correspondences.journal import Journal, StoredView
 from pose_server.correspondences.records import JournalError, Session
-from pose_server.fetching import Fetched, FetchedNewest, Fetcher
+from pose_server.fetching import Fetched, FetchedNewest, FetchedWide, Fetcher
 from pose_server.inbox import Asked, Inbox, Selected, TokenSeen, Updated
 from pose_server.pairs.engine import Done, Engine
 from pose_server.publish import Stamp
@@ -137,6 +137,9 @@ class Service:
                         self._fetcher.ask(view)
             case Fetched():
                 self._fetched(event)
+            case FetchedWide():
+                widening.receive(self.site, event.name, event.payload)
+                self._ask_for_wide_sets()
             case FetchedNewest():
                 self._viewed(event.kept)
             case TokenSeen():
@@ -199,6 +202,7 @@ class Service:
                 "alignment failed i=%s j=%s reason=%s", done.job.i.name, done.job.j.name, done.error
             )
         pipeline.take_result(self.site, done, time.monotonic())
+        self._ask_for_wide_sets()
         i, j = done.job.i.name, done.job.j.name
         if done.result is not None and i.robot != j.robot:
             n = self._count_up(f"{i.robot} {j.robot}")
@@ -213,6 +217,10 @@ class Service:
                 done.result.inliers,
                 "; ".join(done.result.reasons),
             )
+
+    def _ask_for_wide_sets(self) -> None:
+        for view in widening.wanted(self.site):
+            self._fetcher.ask_wide(view)
 
     def _updated(self, update: OperatorUpdate) -> None:
         views = {view for view in (update.view_i, update.view_j) if view is not None}

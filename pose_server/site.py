@@ -25,6 +25,7 @@ from pose_server.pairs.judging import PairResult
 from pose_server.pairs.schedule import RoundRobin
 from pose_server.pairs.tracking import Attached, Track
 from pose_server.views import KeptView, ViewStore, same_camera
+from pose_server.widening import Widening
 from protocol.errors import FleetPoseError
 from protocol.keys import ordered_pair
 from protocol.messages import Alarm, Camera, RobotPose, ViewName
@@ -131,6 +132,7 @@ class Site:
         pins: by operator and session.
         held_back: the newest view of each name whose token was not seen yet.
         depths: what pairs say of the robots' depths.
+        widening: pairs that wait for wide sets of salient points.
         alarms_told: robots and kinds of alarms that were an event already.
     """
 
@@ -157,6 +159,7 @@ class Site:
     components: dict[str, str] = field(default_factory=dict)
     lifter: Lifter = field(default_factory=Lifter)
     depths: Memory = field(default_factory=Memory)
+    widening: Widening = field(default_factory=Widening)
     alarms: tuple[Alarm, ...] = ()
     alarms_told: set[tuple[str, str]] = field(default_factory=set)
 
@@ -208,8 +211,11 @@ class Site:
         return [keyframe for robot in self.robots.values() for keyframe in robot.track.keyframes]
 
     def encoded(self, view: ViewName) -> EncodedView:
-        """A view for a worker that aligns two robots, without what moves in it."""
-        return replace(self.views[view].encoded, mask=self.robot(view.robot).track.masks.get(view))
+        """A view for a worker that aligns two robots, without what moves in it, and with its wide
+        set where there is one.
+        """
+        mask = self.robot(view.robot).track.masks.get(view)
+        return replace(self.views[view].encoded, mask=mask, wide=self.widening.of(view))
 
     def attached(self, view: ViewName) -> Attached | None:
         """Where a view hangs."""
@@ -226,6 +232,7 @@ class Site:
         for robot in self.robots.values():
             at_work = (robot.newest, robot.waiting, robot.tracking, robot.placing, *robot.behind)
             held.update(view for view in at_work if view is not None)
+        held.update(view for views in self.widening.waiting for view in views)
         return held
 
     def pin(self, client: tuple[str, str], views: tuple[ViewName, ...], now_s: float) -> None:

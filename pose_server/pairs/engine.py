@@ -197,7 +197,8 @@ def run_job(job: Job) -> PairResult:
     result = job.usual
     if result is None:
         result = align_pair(i, j, starts, job.features)
-    if job.i.wide is not None and job.j.wide is not None and not is_settled(result):
+    wide = job.features and job.i.wide is not None and job.j.wide is not None
+    if wide and not is_settled(result):
         wide_i, wide_j = (
             without_moving(_wide(encoded), encoded.mask) for encoded in (job.i, job.j)
         )
