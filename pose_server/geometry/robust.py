@@ -33,5 +33,20 @@ def solve(
     return (T, agrees) if agrees.sum() >= 5 else None
 
 
+def by_shape(points_i: Floats, points_j: Floats, resolution: float) -> Floats:
+    """T_i_j of two clouds (N, 3) by the shape around their points alone: FasterPFH, pruning, solver
+    (KISS-Matcher). It always answers, rightly or not.
+    """
+    matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(1.0))
+    source, target = (
+        np.ascontiguousarray(p / resolution, np.float32) for p in (points_j, points_i)
+    )
+    found = matcher.estimate(source, target)
+    return make_pose(
+        np.asarray(found.rotation, np.float64),
+        resolution * np.asarray(found.translation, np.float64),
+    )
+
+
 def _distance(T_i_j: Floats, p_i: Floats, p_j: Floats) -> Floats:
     return np.linalg.norm(transform(T_i_j, p_j) - p_i, axis=1)

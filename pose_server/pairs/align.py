@@ -15,11 +15,13 @@ from pose_server.pairs.byproducts import with_byproducts
 from pose_server.pairs.judging import PairResult, judged
 from pose_server.pairs.pair import RATIO, WIDE_RATIO, Pair
 from pose_server.pairs.refining import (
+    ROUGH_ICP,
     Candidate,
     Start,
     best_of,
     candidate,
     from_matches,
+    from_shape,
     from_start,
     solved,
     with_icp,
@@ -32,7 +34,6 @@ Indices = npt.NDArray[np.int64]
 _STRONG_INLIERS = 60
 _STRONG_SIGMA, _WEAK_SIGMA = 0.0055, 0.011  # share of the depth
 _SETTLED_INLIERS, _SETTLED_SIGMA = 25, 0.0127
-_WIDE_ICP_RADII = (0.03, 0.015, 0.0075)  # starts from wide matches are coarse
 
 
 def align_pair(
@@ -75,7 +76,7 @@ def align_wide(i: PreparedView, j: PreparedView, usual: PairResult) -> PairResul
     """Aligns two views again by their wide sets of salient points.
 
     Among many more points there are many more wrong matches: the more similar half of them is one
-    more start.
+    more start. Where no matches agree, the shapes of dense clouds may.
 
     Args:
         i, j: the views with their wide sets.
@@ -85,6 +86,8 @@ def align_wide(i: PreparedView, j: PreparedView, usual: PairResult) -> PairResul
     pair = Pair(i, j, WIDE_RATIO)
     found = _different(pair, [solved(pair, pair.ratio), solved(pair, pair.similar_half)])
     candidates = [one for T, agrees in found for one in from_matches(pair, T, agrees, "wide")]
+    if not candidates and usual.verdict == "rejected" and i.dense and j.dense:
+        candidates = from_shape(pair)
     if not candidates:
         return usual
     if usual.T_i_j is not None:
@@ -92,7 +95,7 @@ def align_wide(i: PreparedView, j: PreparedView, usual: PairResult) -> PairResul
     result = _judge_best(pair, candidates)
     if result.verdict == "rejected" and i.dense and j.dense:
         rough = [candidate(pair, "wide", T) for T, _ in found]
-        candidates += [with_icp(pair, one, _WIDE_ICP_RADII) for one in rough]
+        candidates += [with_icp(pair, one, ROUGH_ICP) for one in rough] + from_shape(pair)
         result = _judge_best(pair, candidates)
     result = _finished(pair, candidates, result)
     timings = {**usual.timings_ms, "wide": 1e3 * (time.perf_counter() - began)}

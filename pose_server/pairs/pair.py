@@ -15,7 +15,8 @@ Indices = npt.NDArray[np.int64]
 RATIO = 0.9
 WIDE_RATIO = 0.95  # of wide sets: with tilted copies the second best is often the same place
 _SAME_POSE = 0.02  # share of the depth, and radians
-_COMMON_NOISE = NoiseScale(1.5, 1.2)  # candidates are compared at the same noise
+_COMMON_NOISE = NoiseScale(1.0, 1.2)  # candidates are compared at the same noise
+_SCORED_RADIUS = 0.006  # share of the depth
 
 
 class Pair:
@@ -85,10 +86,14 @@ class Pair:
     def score(self, T: Floats) -> float:
         """Consistent matches times surface agreement, at a noise level that is the same for all
         candidates.
+
+        Matches are those by descriptor alone and those around the pose's own predictions: only the
+        right pose has many of these to the pixel.
         """
+        matches = np.unique(np.concatenate((self.ratio, self.guided(T, _SCORED_RADIUS))), axis=0)
         support = 0.0
-        if len(self.ratio) >= 3:
-            support = self.scored(T, self.ratio, _COMMON_NOISE).support
+        if len(matches) >= 3:
+            support = self.scored(T, matches, _COMMON_NOISE).support
         if self.i.dense and self.j.dense:
             support = support**0.5
         seen = self.agreement(T)

@@ -19,6 +19,8 @@ Indices = npt.NDArray[np.int64]
 
 _ENOUGH_MATCHES = 300  # to find a pose; all are used to judge it
 _LEAST_MATCHES = 6
+_SHAPE_RESOLUTION = 0.03  # share of the depth
+ROUGH_ICP = (0.03, 0.015, 0.0075)  # radii for coarse starts, shares of the depth
 # The image is trusted first. Where depths are worse than stated, a fit that may widen the pixel
 # noise settles between both; with loose depths it finds the pixels' pose, and then the noise.
 _START_NOISE = NoiseScale(1.0, 4.0)
@@ -66,6 +68,17 @@ def solved(pair: Pair, matches: Indices) -> tuple[Floats, Indices] | None:
     T, agrees = found[0].copy(), found[1]
     T[:3, 3] *= pair.depth_m
     return T, matches[agrees]
+
+
+def from_shape(pair: Pair) -> list[Candidate]:
+    """What ICP and guided matching make of a pose found by the clouds' shapes."""
+    T = robust.by_shape(
+        pair.i.measured.points, pair.j.measured.points, _SHAPE_RESOLUTION * pair.depth_m
+    )
+    if not np.isfinite(T).all():
+        return []
+    found = with_icp(pair, candidate(pair, "shape", T), ROUGH_ICP)
+    return from_start(pair, Start("shape", found.T_i_j, ROUGH_ICP[-1]))
 
 
 def from_matches(pair: Pair, T: Floats, matches: Indices, kind: str) -> list[Candidate]:

@@ -3,7 +3,7 @@ few."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
 from pose_server.geometry import dlt
@@ -35,7 +35,10 @@ def test_projective_is_recovered_from_five_points_on(rng, count):
     H[:3] = random_pose(rng)[:3] + rng.uniform(-0.2, 0.2, (3, 4))
     H[3, :3] = rng.uniform(-0.1, 0.1, 3)
     p_b = corners(rng, count)
-    found = dlt.projective(dlt.apply(H, p_b), p_b)
+    try:
+        found = dlt.projective(dlt.apply(H, p_b), p_b)
+    except DegenerateGeometryError:  # by chance they lie so that they hardly determine one
+        reject()
     elsewhere = rng.uniform(-1, 1, (20, 3))
     assert np.allclose(dlt.apply(found, elsewhere), dlt.apply(H, elsewhere), rtol=1e-4, atol=1e-4)
 
