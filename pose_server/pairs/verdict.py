@@ -7,8 +7,8 @@ from typing import Literal
 
 Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
 
-# What is verified is not gravely wrong: three sigma of its weakest direction lie within 5 % of the
-# median depth, and within 5 deg.
+# What is verified is not gravely wrong: three sigma of its weakest direction, and what a refit on
+# all matches moves it, lie within 5 % of the median depth, three sigma of its rotation within 5 deg
 _VERIFIED_POSITION = 0.05
 _VERIFIED_ROTATION_RAD = 0.087
 
@@ -75,14 +75,15 @@ def _against(e: Evidence) -> tuple[str, ...]:
 
 def _doubts(e: Evidence) -> tuple[str, ...]:
     """What keeps a pose from being verified."""
-    allowed_px = min(1.0, 2.0 * e.pixel_sigma_px)
+    allowed_px = 1.5 * e.pixel_sigma_px
+    off = 3 * e.position_sigma + e.shift
     return _said(
         (e.inliers < 14, f"{e.inliers} matches agree, need 14"),
         (e.ratio_inliers < 10, f"{e.ratio_inliers} unguided matches agree, need 10"),
         (
-            3 * e.position_sigma > _VERIFIED_POSITION,
-            f"three sigma of the position are {3 * e.position_sigma:.1%} of the depth, need "
-            f"{_VERIFIED_POSITION:.0%}",
+            off > _VERIFIED_POSITION,
+            f"three sigma of the position, and what a refit moves it, are {off:.1%} of the depth, "
+            f"need {_VERIFIED_POSITION:.0%}",
         ),
         (
             3 * e.rotation_sigma_rad > _VERIFIED_ROTATION_RAD,
