@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from pose_server.geometry.point_pairs import PointPairs
 from pose_server.pairs.byproducts import with_byproducts
 from pose_server.pairs.judging import PairResult, judged
 from pose_server.pairs.pair import RATIO, WIDE_RATIO, Pair
@@ -42,7 +41,6 @@ def align_pair(
     j: PreparedView,
     starts: Sequence[Start] = (),
     features: bool = True,
-    clicked: PointPairs | None = None,
 ) -> PairResult:
     """Aligns two views.
 
@@ -51,10 +49,9 @@ def align_pair(
         starts: poses to begin from, beside the one found by features.
         features: whether to look for a start by features; off where only the given starts may be
             used.
-        clicked: the operator's correspondences; poses that suit them are preferred.
     """
     began = time.perf_counter()
-    pair = Pair(i, j, RATIO, clicked)
+    pair = Pair(i, j, RATIO)
     matched = time.perf_counter()
     candidates: list[Candidate] = []
     for start in starts:
@@ -78,9 +75,7 @@ def align_pair(
     return with_byproducts(pair, replace(result, timings_ms=timings))
 
 
-def align_wide(
-    i: PreparedView, j: PreparedView, usual: PairResult, clicked: PointPairs | None = None
-) -> PairResult:
+def align_wide(i: PreparedView, j: PreparedView, usual: PairResult) -> PairResult:
     """Aligns two views again by their wide sets of salient points.
 
     Among many more points there are many more wrong matches: the more similar half of them is one
@@ -89,10 +84,9 @@ def align_wide(
     Args:
         i, j: the views with their wide sets.
         usual: what `align_pair` made of the usual sets; its pose is a candidate too.
-        clicked: as in `align_pair`.
     """
     began = time.perf_counter()
-    pair = Pair(i, j, WIDE_RATIO, clicked)
+    pair = Pair(i, j, WIDE_RATIO)
     found = _different(pair, [solved(pair, pair.ratio), solved(pair, pair.similar_half)])
     candidates = [one for T, agrees in found for one in from_matches(pair, T, agrees, "wide")]
     if not candidates and usual.verdict == "rejected" and i.dense and j.dense:

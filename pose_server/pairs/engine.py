@@ -189,21 +189,20 @@ def run_job(job: Job) -> PairResult:
     if job.purpose == "track":
         i, j = i.strongest(TRACK_POINTS), j.strongest(TRACK_POINTS)
     starts = list(job.starts)
-    operator = clicked = None
+    operator = None
     if job.clicks is not None:
         operator = operator_start(i, j, job.clicks, job.starts)
         if operator is not None:
             starts.append(operator.start)
-            clicked = operator.pairs[operator.inliers]
     result = job.usual
     if result is None:
-        result = align_pair(i, j, starts, job.features, clicked)
+        result = align_pair(i, j, starts, job.features)
     wide = job.features and job.i.wide is not None and job.j.wide is not None
     if wide and not is_settled(result):
         wide_i, wide_j = (
             without_moving(_wide(encoded), encoded.mask) for encoded in (job.i, job.j)
         )
-        result = align_wide(wide_i, wide_j, result, clicked)
+        result = align_wide(wide_i, wide_j, result)
     return _finite(with_operator_fallback(result, operator, i, j))
 
 

@@ -5,7 +5,6 @@ import numpy.typing as npt
 
 from pose_server.geometry.evidence import Agreement, agreement
 from pose_server.geometry.matching import guided_matches, one_to_one, ratio_matches
-from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.refine import NoiseScale, Refinement, refine
 from pose_server.geometry.se3 import inverse, rotation_angle
 from pose_server.pairs.views import PreparedView
@@ -17,7 +16,6 @@ RATIO = 0.9
 WIDE_RATIO = 0.95  # of wide sets: with tilted copies the second best is often the same place
 _SAME_POSE = 0.02  # share of the depth, and radians
 _COMMON_NOISE = NoiseScale(1.0, 1.2)  # candidates are compared at the same noise
-_WRONG_CLICKS = 0.01  # that all clicks are wrong
 _SCORED_RADIUS = 0.006  # share of the depth
 
 
@@ -25,17 +23,14 @@ class Pair:
     """Two views and what every step of their alignment shares.
 
     Attributes:
-        clicked: the operator's correspondences that agree with each other, if there are any.
         depth_m: median depth of both.
         sigma: relative sigma of the distance of two matching points along the ray.
         ratio: (M, 2) matches by descriptor alone, of points with depth.
         similar_half: those of them whose descriptors are more similar than the others'.
     """
 
-    def __init__(
-        self, i: PreparedView, j: PreparedView, ratio: float, clicked: PointPairs | None = None
-    ) -> None:
-        self.i, self.j, self.clicked = i, j, clicked
+    def __init__(self, i: PreparedView, j: PreparedView, ratio: float) -> None:
+        self.i, self.j = i, j
         self.depth_m = 0.5 * (i.median_depth_m + j.median_depth_m)
         self.sigma = float(np.hypot(i.surface.depth_sigma, j.surface.depth_sigma))
         lifted_i, lifted_j = i.observed.lifted, j.observed.lifted
@@ -90,7 +85,7 @@ class Pair:
 
     def score(self, T: Floats) -> float:
         """Consistent matches times surface agreement, at a noise level that is the same for all
-        candidates, times how well the operator's correspondences suit.
+        candidates.
 
         Matches are those by descriptor alone and those around the pose's own predictions: only the
         right pose has many of these to the pixel.
@@ -103,13 +98,4 @@ class Pair:
             support = support**0.5
         seen = self.agreement(T)
         surfaces = max(0.02, seen.mean_agree - max(0.0, seen.through - 0.05))
-        return (support + 1.0) * surfaces * self._suits_clicks(T)
-
-    def _suits_clicks(self, T: Floats) -> float:
-        """How likely the clicks are at a pose, beside what chance does to them; never nothing, for
-        clicks may be wrong.
-        """
-        if self.clicked is None:
-            return 1.0
-        excess = float(self.clicked.distance2(T).sum()) - 3.0 * len(self.clicked)
-        return max(float(np.exp(-0.5 * max(excess, 0.0))), _WRONG_CLICKS)
+        return (support + 1.0) * surfaces

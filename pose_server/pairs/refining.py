@@ -103,7 +103,7 @@ def from_start(pair: Pair, start: Start) -> list[Candidate]:
     uncertainty.
     """
     found = [candidate(pair, start.kind, start.T_i_j)]
-    radii = (min(0.06, 2 * start.sigma), 0.008)
+    radii = (min(0.1, 2 * start.sigma), min(0.03, start.sigma), 0.01, 0.006)
     return found + _guided(pair, start.kind, start.T_i_j, radii, NO_MATCHES, _START_NOISE)
 
 

@@ -208,7 +208,7 @@ def _observed(view: PreparedView, uv: Floats, z: Floats, sigma: Floats) -> Obser
 def _sigma(i: PreparedView, j: PreparedView, T: Floats, covariance: Floats) -> float:
     """How far a start may be off: of its weakest direction, as a share of the depth."""
     weakest = float(np.sqrt(np.linalg.eigvalsh(position_covariance(T, covariance))[-1]))
-    return float(np.clip(weakest / (0.5 * (i.median_depth_m + j.median_depth_m)), 0.005, 0.06))
+    return float(np.clip(weakest / (0.5 * (i.median_depth_m + j.median_depth_m)), 0.005, 0.1))
 
 
 def _covariance(refined: Refinement) -> Floats | None:
