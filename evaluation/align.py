@@ -13,7 +13,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from evaluation.align_worker import Timed, align_ours, align_peers
+from evaluation.align_worker import Timed, align_ours, align_peers, missing_peers
 from evaluation.datasets import (
     CloudKind,
     Recording,
@@ -64,7 +64,8 @@ def run(
     limit: int | None = None,
     min_overlap: float = 0.3,
 ) -> dict[str, Any]:
-    """Aligns pairs by every method; writes align.csv and summary.json; returns the summary.
+    """Aligns pairs by every method that can be loaded; writes align.csv and summary.json; returns
+    the summary.
 
     Args:
         data: a posed-views or RGB-D folder.
@@ -75,7 +76,7 @@ def run(
         min_overlap: RGB-D pairs that overlap less are left out; posed views need 30 shared tracks.
 
     Raises:
-        FleetPoseError: the data cannot be used, a peer cannot be loaded, or the folder not made.
+        FleetPoseError: the data cannot be used, or the folder not made.
     """
     recording = open_recording(data, clouds)
     output_folder(out)
@@ -92,13 +93,17 @@ def run(
         views = {view.index: view for pair in pairs for view in pair}
         wires, robot_ms = on_the_wire(recording, [*views.values()], Path(folder), ours, progress)
         robot_ms_of = dict(zip(views, robot_ms, strict=True))
+        missing = theirs.submit(missing_peers).result()
+        for name, reason in missing.items():
+            progress.console.print(f"without {name}: {reason}")
+        peers = [peer.name for peer in PEERS if peer.name not in missing]
         task = progress.add_task("pairs", total=len(pairs))
 
         def by_all(pair: tuple[TrueView, TrueView]) -> dict[str, Timed]:
             i, j = (view.index for view in pair)
             own = ours.submit(align_ours, wires[i], wires[j]).result()
             whole_ms = own.whole_ms + robot_ms_of[i] + robot_ms_of[j]
-            rest = theirs.submit(align_peers, wires[i], wires[j], VOXEL_M / voxel_m).result()
+            rest = theirs.submit(align_peers, wires[i], wires[j], VOXEL_M / voxel_m, peers).result()
             progress.advance(task)
             return {OURS: replace(own, whole_ms=whole_ms), **rest}
 
@@ -107,8 +112,7 @@ def run(
     bars = Bars.of(median_m, recording.is_rgbd)
     truths = [_T_i_j(i, j) for i, j in pairs]
     rows = [
-        score(name, truths, [answer[name] for answer in answers], bars)
-        for name in (OURS, *(peer.name for peer in PEERS))
+        score(name, truths, [answer[name] for answer in answers], bars) for name in (OURS, *peers)
     ]
     write_csv(out / "align.csv", COLUMNS, rows)
     chosen = {"min_overlap": min_overlap} if recording.is_rgbd else {"min_shared": MIN_SHARED}
@@ -123,6 +127,7 @@ def run(
         "methods": {row["method"]: row for row in rows},
         # At the scale where a voxel is 5 cm.
         "settings": {peer.name: peer.settings for peer in PEERS},
+        "missing": missing,
     }
     write_summary(out, summary)
     _print(summary)

@@ -1,7 +1,7 @@
 """What `pose-eval align` runs in its workers: one pair by one method, timed. No truth is here."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from evaluation.geometry import Floats
-from evaluation.pair_worker import CACHED_VIEWS
-from evaluation.peers import PEERS, Peer
+from evaluation.pair_worker import CACHED_VIEWS, of_wide, widen
+from evaluation.peers import PEERS, Peer, PeerMissingError
 
 Result = TypeVar("Result")
 
@@ -38,33 +38,65 @@ def align_ours(wire_i: Path, wire_j: Path) -> Timed:
     """Aligns two views as the server does; the robots' share of `whole_ms` is added by the caller.
 
     Views make their search trees when they are first needed: so views that were never aligned
-    before are timed from the bytes to the pose, and the same ones once more.
+    before are timed from the bytes to the pose, and the same ones once more. Where the usual
+    salient points do not settle a pair, `whole_ms` has what their wide sets cost the robots too.
     """
-    from pose_server.pairs.align import align_pair
+    from pose_server.pairs.align import align_pair, align_wide, is_settled
     from pose_server.pairs.views import prepare_view
     from protocol import codec
     from protocol.messages import View
 
-    payloads = wire_i.read_bytes(), wire_j.read_bytes()
+    def view_in(file: Path) -> View:
+        return codec.unpack(View, file.read_bytes())
 
-    def whole() -> Any:
-        i, j = (prepare_view(codec.unpack(View, payload)) for payload in payloads)
+    def usual() -> Any:
+        i, j = (prepare_view(view_in(wire)) for wire in (wire_i, wire_j))
         return i, j, align_pair(i, j)
 
-    (i, j, _), whole_ms, _ = _timed(whole)
+    (i, j, result), whole_ms, _ = _timed(usual)
     result, pair_ms, pair_cpu_ms = _timed(lambda: align_pair(i, j))
+    if not is_settled(result):
+        robots_ms = sum(_wide_ms(wire) for wire in (wire_i, wire_j))
+
+        def more() -> Any:
+            wide_i = i.with_salient(view_in(of_wide(wire_i)).salient)
+            wide_j = j.with_salient(view_in(of_wide(wire_j)).salient)
+            return wide_i, wide_j, align_wide(wide_i, wide_j, result)
+
+        (wide_i, wide_j, _), more_ms, _ = _timed(more)
+        result, wide_ms, wide_cpu_ms = _timed(lambda: align_wide(wide_i, wide_j, result))
+        whole_ms += robots_ms + more_ms
+        pair_ms, pair_cpu_ms = pair_ms + wide_ms, pair_cpu_ms + wide_cpu_ms
     T_i_j = None if result.T_i_j is None else np.asarray(result.T_i_j, np.float64)
     return Timed(T_i_j, pair_ms, pair_cpu_ms, whole_ms)
 
 
-def align_peers(wire_i: Path, wire_j: Path, scale: float) -> dict[str, Timed]:
-    """Aligns two views by every peer.
+@lru_cache(maxsize=2 * CACHED_VIEWS)
+def _wide_ms(wire: Path) -> float:
+    """Has a view's robot make its wide set; the milliseconds."""
+    return widen(wire)
+
+
+def missing_peers() -> dict[str, str]:
+    """Peers that cannot be loaded here, and why."""
+    reasons = {}
+    for peer in PEERS:
+        try:
+            peer.load()
+        except PeerMissingError as error:
+            reasons[peer.name] = str(error)
+    return reasons
+
+
+def align_peers(wire_i: Path, wire_j: Path, scale: float, names: Sequence[str]) -> dict[str, Timed]:
+    """Aligns two views by peers.
 
     Args:
+        names: which.
         wire_i, wire_j: what the robots sent; peers get all points of it.
         scale: what lengths are multiplied with for the peers.
     """
-    return {peer.name: _align(peer, wire_i, wire_j, scale) for peer in PEERS}
+    return {peer.name: _align(peer, wire_i, wire_j, scale) for peer in PEERS if peer.name in names}
 
 
 def _align(peer: Peer, wire_i: Path, wire_j: Path, scale: float) -> Timed:

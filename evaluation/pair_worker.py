@@ -72,6 +72,11 @@ def encode(robot: str, camera: str, folder: Path, wire: Path) -> float:
     return elapsed_ms
 
 
+def of_wide(wire: Path) -> Path:
+    """The file of a view's wide set, beside that of the view."""
+    return wire.with_suffix(".wide")
+
+
 def widen(wire: Path) -> float:
     """Does an agent's work for one view whose wide set is asked for, the first time that it is;
     returns the milliseconds, 0 if it was done before.
@@ -80,7 +85,7 @@ def widen(wire: Path) -> float:
     from protocol.messages import KeptView
     from robot_agent.wide import wide_view
 
-    wide = wire.with_suffix(".wide")
+    wide = of_wide(wire)
     if wide.exists():
         return 0.0
     kept = codec.unpack(KeptView, wire.with_suffix(".kept").read_bytes())
@@ -113,7 +118,7 @@ def widened(wire: Path) -> "PreparedView":
     from protocol.messages import View
 
     widen(wire)
-    payload = wire.with_suffix(".wide").read_bytes()
+    payload = of_wide(wire).read_bytes()
     return prepared(wire)[0].with_salient(codec.unpack(View, payload).salient)
 
 

@@ -40,12 +40,14 @@ class Peer:
             function share its result.
         align: from the prepared views i and j to T_i_j (4, 4).
         settings: what is used, to be shown beside the results.
+        load: loads its library; raises a PeerMissingError where it is not there.
     """
 
     name: str
     prepare: Callable[[Floats], Any]
     align: Callable[[Any, Any], Floats]
     settings: dict[str, Any]
+    load: Callable[[], Any] = lambda: None
 
 
 @cache
@@ -198,6 +200,7 @@ PEERS = (
             },
             "point_to_plane_icp": _ICP_SETTINGS,
         },
+        _open3d,
     ),
     Peer(
         "open3d_fgr_icp",
@@ -208,6 +211,7 @@ PEERS = (
             "fgr": {"distance_m": FGR_DISTANCE_M},
             "point_to_plane_icp": _ICP_SETTINGS,
         },
+        _open3d,
     ),
     Peer(
         "kiss_gicp",

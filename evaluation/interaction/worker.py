@@ -15,7 +15,7 @@ import numpy.typing as npt
 from evaluation.geometry import Floats
 from evaluation.interaction import hand
 from evaluation.interaction.hand import Clicked
-from evaluation.pair_worker import Answer, answer_of, prepared, widen
+from evaluation.pair_worker import Answer, answer_of, of_wide, prepared, widen
 
 if TYPE_CHECKING:
     from pose_server.geometry.lift import LiftedPoint
@@ -147,7 +147,7 @@ def by_server(wire_i: Path, wire_j: Path, at_i: Lifted, at_j: Lifted) -> tuple[A
 def with_wide(view: "EncodedView", wire: Path) -> "EncodedView":
     """The view with its wide set of salient points, which its robot makes when it is asked."""
     widen(wire)
-    return replace(view, wide=wire.with_suffix(".wide").read_bytes())
+    return replace(view, wide=of_wide(wire).read_bytes())
 
 
 def as_job(wire_i: Path, wire_j: Path, at_i: Lifted, at_j: Lifted) -> "Job":
