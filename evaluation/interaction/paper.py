@@ -70,7 +70,7 @@ def start(p_i: Floats, p_j: Floats) -> tuple[Floats, str]:
     if len(p_i) == 0:
         return np.eye(4), "identity"
     try:
-        fit = dlt.fit(p_i, p_j)
+        fit = dlt.fit(p_i, p_j, R_a_b=np.eye(3))
     except DegenerateGeometryError:
         return np.eye(4), "identity"
     return np.asarray(fit.T_a_b, np.float64), fit.model
@@ -85,7 +85,7 @@ def salient(view: PreparedView) -> Floats:
 def icp_engine() -> tuple[str, Icp]:
     """Name and function of the point-to-point ICP: Open3D's, else small_gicp's.
 
-    Open3D is no part of the installation, and needs libraries of the system that may be missing.
+    Open3D needs libraries of the system that may be missing.
     """
     try:
         import open3d  # noqa: F401
