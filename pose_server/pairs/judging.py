@@ -21,7 +21,7 @@ Indices = npt.NDArray[np.int64]
 # Matches share depth errors, so that the raw covariance is too sure: inflated, with a floor, it
 # was calibrated on one data set and checked on others (variance factor; radians and shares of the
 # median depth).
-COVARIANCE_INFLATION = 3.0
+COVARIANCE_INFLATION = 2.8
 COVARIANCE_FLOOR = 3e-4
 
 
