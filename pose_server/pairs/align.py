@@ -89,16 +89,20 @@ def align_wide(i: PreparedView, j: PreparedView, usual: PairResult) -> PairResul
     pair = Pair(i, j, WIDE_RATIO)
     found = _different(pair, [solved(pair, pair.ratio), solved(pair, pair.similar_half)])
     candidates = [one for T, agrees in found for one in from_matches(pair, T, agrees, "wide")]
-    if not candidates and usual.verdict == "rejected" and i.dense and j.dense:
-        candidates = from_shape(pair)
+    dense = i.dense and j.dense
+    by_shape = (
+        from_shape(pair) if dense and not candidates and usual.verdict == "rejected" else None
+    )
+    candidates += by_shape or []
     if not candidates:
         return usual
     if usual.T_i_j is not None:
         candidates.append(candidate(pair, usual.start, usual.T_i_j))
     result = _judge_best(pair, candidates)
-    if result.verdict == "rejected" and i.dense and j.dense:
+    if result.verdict == "rejected" and dense:
         rough = [candidate(pair, "wide", T) for T, _ in found]
-        candidates += [with_icp(pair, one, ROUGH_ICP) for one in rough] + from_shape(pair)
+        candidates += [with_icp(pair, one, ROUGH_ICP) for one in rough]
+        candidates += from_shape(pair) if by_shape is None else []
         result = _judge_best(pair, candidates)
     result = _finished(pair, candidates, result)
     timings = {**usual.timings_ms, "wide": 1e3 * (time.perf_counter() - began)}

@@ -18,9 +18,9 @@ from pose_server.pairs.verdict import Evidence, Verdict, judge
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
-# Matches share depth errors, so that the raw covariance is too sure: inflated, with a floor, it
-# was calibrated on one data set and checked on others (variance factor; radians and shares of the
-# median depth).
+# Matches share depth errors, so that the raw covariance is too sure: inflated, with a floor, it is
+# right on the average of the recordings at hand (variance factor; radians and shares of the median
+# depth).
 COVARIANCE_INFLATION = 2.8
 COVARIANCE_FLOOR = 3e-4
 
