@@ -74,6 +74,16 @@ def retract(T: Floats, increment: Floats) -> Floats:
     return make_pose(R @ T[:3, :3], R @ T[:3, 3] + increment[3:])
 
 
+def weighted_mean(T_a: Floats, information_a: Floats, T_b: Floats, information_b: Floats) -> Floats:
+    """The pose between two nearby ones, each pulling as hard as its information (6, 6) of left
+    perturbations says; that of the first where neither knows.
+    """
+    way = log_so3(T_b[:3, :3] @ T_a[:3, :3].T)
+    apart = np.concatenate((way, T_b[:3, 3] - exp_so3(way) @ T_a[:3, 3]))
+    both = information_a + information_b
+    return retract(T_a, np.linalg.lstsq(both, information_b @ apart)[0])
+
+
 def adjoint(T: Floats) -> Floats:
     """(6, 6): `T exp(xi) = exp(Ad xi) T`, rotation first."""
     A = np.zeros((6, 6))

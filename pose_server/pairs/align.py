@@ -15,22 +15,23 @@ from pose_server.pairs.byproducts import with_byproducts
 from pose_server.pairs.judging import PairResult, judged
 from pose_server.pairs.pair import RATIO, WIDE_RATIO, Pair
 from pose_server.pairs.refining import (
-    ROUGH_ICP,
     Candidate,
     Start,
     best_of,
+    by_shape,
     candidate,
-    from_matches,
-    from_shape,
+    from_features,
+    from_rough,
     from_start,
-    solved,
     with_icp,
+    with_surfaces,
 )
 from pose_server.pairs.views import PreparedView
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
+_USUAL_POSES, _WIDE_POSES = 2, 4  # that are refined, of those found by features
 _STRONG_INLIERS = 60
 _STRONG_SIGMA, _WEAK_SIGMA = 0.0055, 0.011  # share of the depth
 _SETTLED_INLIERS, _SETTLED_SIGMA = 25, 0.0127
@@ -58,8 +59,7 @@ def align_pair(
         candidates += from_start(pair, start)
     result = _judge_best(pair, candidates) if candidates else None
     if features and (result is None or not _is_strong(result)):
-        found = solved(pair, pair.ratio)
-        more = [] if found is None else from_matches(pair, *found, "features")
+        more = from_features(pair, "features", _USUAL_POSES)
         candidates += more
         result = _judge_best(pair, candidates) if more else result
     if result is None:
@@ -87,37 +87,19 @@ def align_wide(i: PreparedView, j: PreparedView, usual: PairResult) -> PairResul
     """
     began = time.perf_counter()
     pair = Pair(i, j, WIDE_RATIO)
-    found = _different(pair, [solved(pair, pair.ratio), solved(pair, pair.similar_half)])
-    candidates = [one for T, agrees in found for one in from_matches(pair, T, agrees, "wide")]
-    dense = i.dense and j.dense
-    by_shape = (
-        from_shape(pair) if dense and not candidates and usual.verdict == "rejected" else None
-    )
-    candidates += by_shape or []
-    if not candidates:
-        return usual
+    candidates = from_features(pair, "wide", _WIDE_POSES)
     if usual.T_i_j is not None:
         candidates.append(candidate(pair, usual.start, usual.T_i_j))
-    result = _judge_best(pair, candidates)
-    if result.verdict == "rejected" and dense:
-        rough = [candidate(pair, "wide", T) for T, _ in found]
-        candidates += [with_icp(pair, one, ROUGH_ICP) for one in rough]
-        candidates += from_shape(pair) if by_shape is None else []
+    result = _judge_best(pair, candidates) if candidates else usual
+    if result.verdict == "rejected" and i.dense and j.dense:
+        rough = [(one.start, one.T_i_j) for one in candidates] + [("shape", by_shape(pair))]
+        candidates += [
+            one for kind, T in rough if T is not None for one in from_rough(pair, T, kind)
+        ]
         result = _judge_best(pair, candidates)
     result = _finished(pair, candidates, result)
     timings = {**usual.timings_ms, "wide": 1e3 * (time.perf_counter() - began)}
     return replace(result, timings_ms=timings, depths=usual.depths, moving=usual.moving)
-
-
-def _different(
-    pair: Pair, solutions: Sequence[tuple[Floats, Indices] | None]
-) -> list[tuple[Floats, Indices]]:
-    """The solutions there are, of those that are the same pose the first."""
-    kept: list[tuple[Floats, Indices]] = []
-    for one in solutions:
-        if one is not None and not any(pair.same_pose(one[0], other[0]) for other in kept):
-            kept.append(one)
-    return kept
 
 
 def is_settled(result: PairResult) -> bool:
@@ -149,7 +131,7 @@ def _needs_icp(result: PairResult) -> bool:
 
 
 def _judge_best(pair: Pair, candidates: Sequence[Candidate]) -> PairResult:
-    best = best_of(candidates)
+    best = with_surfaces(pair, best_of(candidates))
     return judged(pair, best.T_i_j, best.start)
 
 

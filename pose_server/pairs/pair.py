@@ -25,8 +25,7 @@ class Pair:
     Attributes:
         depth_m: median depth of both.
         sigma: relative sigma of the distance of two matching points along the ray.
-        ratio: (M, 2) matches by descriptor alone, of points with depth.
-        similar_half: those of them whose descriptors are more similar than the others'.
+        ratio: (M, 2) matches by descriptor alone, of points with depth, the most similar first.
     """
 
     def __init__(self, i: PreparedView, j: PreparedView, ratio: float) -> None:
@@ -35,8 +34,8 @@ class Pair:
         self.sigma = float(np.hypot(i.surface.depth_sigma, j.surface.depth_sigma))
         lifted_i, lifted_j = i.observed.lifted, j.observed.lifted
         found, cosines = ratio_matches(i.descriptors[lifted_i], j.descriptors[lifted_j], ratio)
+        found = found[np.argsort(-cosines, kind="stable")]
         self.ratio = np.column_stack((lifted_i[found[:, 0]], lifted_j[found[:, 1]]))
-        self.similar_half = self.ratio[cosines >= np.median(cosines)] if len(found) else self.ratio
 
     def points(self, matches: Indices) -> tuple[Floats, Floats]:
         return self.i.observed.points[matches[:, 0]], self.j.observed.points[matches[:, 1]]
@@ -80,6 +79,10 @@ class Pair:
         shift = float(np.linalg.norm(a[:3, 3] - b[:3, 3])) / self.depth_m
         return max(shift, rotation_angle(a[:3, :3].T @ b[:3, :3])) < _SAME_POSE
 
+    def support(self, T: Floats, matches: Indices) -> float:
+        """How many matches agree with a pose, at a noise level that is the same for all poses."""
+        return self.scored(T, matches, _COMMON_NOISE).support if len(matches) >= 3 else 0.0
+
     def agreement(self, T: Floats) -> Agreement:
         return agreement(self.i.surface, self.j.surface, T)
 
@@ -91,9 +94,7 @@ class Pair:
         right pose has many of these to the pixel.
         """
         matches = np.unique(np.concatenate((self.ratio, self.guided(T, _SCORED_RADIUS))), axis=0)
-        support = 0.0
-        if len(matches) >= 3:
-            support = self.scored(T, matches, _COMMON_NOISE).support
+        support = self.support(T, matches)
         if self.i.dense and self.j.dense:
             support = support**0.5
         seen = self.agreement(T)

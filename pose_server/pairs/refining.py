@@ -1,26 +1,31 @@
 """From a start to candidates: refined, searched again around the predicted places, and scored."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from pose_server.geometry import robust
 from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.icp import gicp
+from pose_server.geometry.icp import SurfaceFit, gicp
 from pose_server.geometry.matching import NO_MATCHES
-from pose_server.geometry.refine import NoiseScale
-from pose_server.geometry.se3 import transform
+from pose_server.geometry.refine import NoiseScale, Refinement
+from pose_server.geometry.se3 import transform, weighted_mean
+from pose_server.geometry.triangles import poses_by_triangles
 from pose_server.pairs.pair import Pair
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
 _ENOUGH_MATCHES = 300  # to find a pose; all are used to judge it
-_LEAST_MATCHES = 6
+_LEAST_MATCHES, _LEAST_AGREEING = 6, 5
+_NEARLY = 0.6
 _SHAPE_RESOLUTION = 0.03  # share of the depth
-ROUGH_ICP = (0.03, 0.015, 0.0075)  # radii for coarse starts, shares of the depth
+_ROUGH_RADIUS, _ROUGH_ITERATIONS = 0.08, 10  # of ICP from a coarse start; share of the depth
+_ROUGH_SIGMA = 0.01  # of what comes of it
+_FINE_RADIUS_PX = 30.0  # of ICP from a pose that matches agree on, at the median depth
+_FAR = 0.04  # share of the depth: surfaces that lead so far away are others
 # The image is trusted first. Where depths are worse than stated, a fit that may widen the pixel
 # noise settles between both; with loose depths it finds the pixels' pose, and then the noise.
 _START_NOISE = NoiseScale(1.0, 4.0)
@@ -39,16 +44,19 @@ class Start:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A pose, the kind of start that led to it, and its score among all of a pair."""
+    """A pose, the kind of start that led to it, and its score among all of a pair; the information
+    (6, 6) of the matches that it was refined on, if it was.
+    """
 
     start: str
     T_i_j: Floats
     score: float
+    information: Floats | None = None
 
 
-def candidate(pair: Pair, kind: str, T: Floats) -> Candidate:
+def candidate(pair: Pair, kind: str, T: Floats, information: Floats | None = None) -> Candidate:
     """A scored pose."""
-    return Candidate(kind, T, pair.score(T))
+    return Candidate(kind, T, pair.score(T), information)
 
 
 def best_of(candidates: Sequence[Candidate]) -> Candidate:
@@ -56,29 +64,40 @@ def best_of(candidates: Sequence[Candidate]) -> Candidate:
     return max(candidates, key=lambda one: one.score)
 
 
-def solved(pair: Pair, matches: Indices) -> tuple[Floats, Indices] | None:
-    """T_i_j by a robust solver from matches (M, 2) of which most may be wrong, and which agree."""
-    if len(matches) < _LEAST_MATCHES:
-        return None
-    p_i, p_j = pair.points(matches)
-    bound = float(np.clip(1.5 * pair.sigma, 0.01, 0.03))
-    found = robust.solve(p_i / pair.depth_m, p_j / pair.depth_m, bound)
-    if found is None:
-        return None
-    T, agrees = found[0].copy(), found[1]
-    T[:3, 3] *= pair.depth_m
-    return T, matches[agrees]
+def from_features(pair: Pair, kind: str, most: int) -> list[Candidate]:
+    """What refinement makes of the poses that matches by descriptor agree on: of so many at most,
+    and only of those that nearly as many agree on as on the best.
+    """
+    found: list[tuple[float, Refinement, Indices]] = []
+    o = pair.i.observed, pair.j.observed
+    for T, agrees in poses_by_triangles(*o, pair.ratio, pair.depth_m):
+        if len(agrees) < _LEAST_AGREEING or (found and len(agrees) < _NEARLY * len(found[0][2])):
+            continue
+        try:
+            refined = pair.refined(T, agrees, _START_NOISE, 4)
+        except DegenerateGeometryError:
+            continue
+        found.append((pair.support(refined.T_i_j, pair.ratio), refined, agrees))
+    found.sort(key=lambda one: -one[0])
+    candidates = []
+    for support, refined, agrees in found[:most]:
+        if support >= _NEARLY * found[0][0]:
+            candidates += from_matches(pair, refined.T_i_j, agrees, kind)
+    return candidates
 
 
-def from_shape(pair: Pair) -> list[Candidate]:
-    """What ICP and guided matching make of a pose found by the clouds' shapes."""
+def by_shape(pair: Pair) -> Floats | None:
+    """T_i_j by the shapes of dense clouds alone."""
     T = robust.by_shape(
         pair.i.measured.points, pair.j.measured.points, _SHAPE_RESOLUTION * pair.depth_m
     )
-    if not np.isfinite(T).all():
-        return []
-    found = with_icp(pair, candidate(pair, "shape", T), ROUGH_ICP)
-    return from_start(pair, Start("shape", found.T_i_j, ROUGH_ICP[-1]))
+    return T if np.isfinite(T).all() else None
+
+
+def from_rough(pair: Pair, T: Floats, kind: str) -> list[Candidate]:
+    """What ICP and guided matching make of a coarse pose of dense clouds."""
+    rough = _icp(pair, T, _ROUGH_RADIUS * pair.depth_m, _ROUGH_ITERATIONS)
+    return from_start(pair, Start(kind, rough.T_i_j, _ROUGH_SIGMA))
 
 
 def from_matches(pair: Pair, T: Floats, matches: Indices, kind: str) -> list[Candidate]:
@@ -94,7 +113,7 @@ def from_matches(pair: Pair, T: Floats, matches: Indices, kind: str) -> list[Can
             first = pair.refined(first.T_i_j, matches, first.noise)
     except DegenerateGeometryError:
         return []
-    found = [candidate(pair, kind, first.T_i_j)]
+    found = [candidate(pair, kind, first.T_i_j, first.information)]
     return found + _guided(pair, kind, first.T_i_j, (0.01, 0.006), matches, first.noise)
 
 
@@ -107,19 +126,38 @@ def from_start(pair: Pair, start: Start) -> list[Candidate]:
     return found + _guided(pair, start.kind, start.T_i_j, radii, NO_MATCHES, _START_NOISE)
 
 
-def with_icp(pair: Pair, one: Candidate, radii: tuple[float, ...] = (0.015, 0.0075)) -> Candidate:
-    """A candidate after ICP with shrinking radii, shares of the depth; itself if that scores
-    worse.
+def with_surfaces(pair: Pair, one: Candidate) -> Candidate:
+    """A candidate from matches after it has yielded to the surfaces of dense clouds as far as both
+    are sure; itself where they lead elsewhere.
+
+    Either errs in its own way: matches by the depths at some edges and corners, surfaces by what
+    slides along them. The joint fit is the mean of both, weighed by their information.
     """
-    radii_m = tuple(radius * pair.depth_m for radius in radii)
-    T = gicp(pair.i.measured.for_icp, pair.j.measured.for_icp, one.T_i_j, radii_m)
-    other = candidate(pair, one.start, T)
+    if one.information is None or not (pair.i.dense and pair.j.dense):
+        return one
+    fit = _icp(pair, one.T_i_j, _FINE_RADIUS_PX * pair.depth_m / pair.i.observed.focal_px)
+    if float(np.linalg.norm(fit.T_i_j[:3, 3] - one.T_i_j[:3, 3])) > _FAR * pair.depth_m:
+        return one
+    surfaces = fit.hessian / (pair.sigma * pair.depth_m) ** 2
+    T = weighted_mean(one.T_i_j, one.information, fit.T_i_j, surfaces)
+    return replace(one, T_i_j=T, information=None)
+
+
+def with_icp(pair: Pair, one: Candidate) -> Candidate:
+    """A candidate after ICP; itself if that scores worse."""
+    fit = _icp(pair, one.T_i_j, _FINE_RADIUS_PX * pair.depth_m / pair.i.observed.focal_px)
+    other = candidate(pair, one.start, fit.T_i_j)
     return other if other.score > one.score else one
+
+
+def _icp(pair: Pair, T: Floats, radius_m: float, iterations: int = 20) -> SurfaceFit:
+    return gicp(pair.i.measured.for_icp, pair.j.measured.for_icp, T, radius_m, iterations)
 
 
 def _guided(
     pair: Pair, kind: str, T: Floats, radii: tuple[float, ...], kept: Indices, noise: NoiseScale
 ) -> list[Candidate]:
+    found = None
     for radius in radii:
         matches = np.unique(np.concatenate((pair.guided(T, radius), kept)), axis=0)
         if len(matches) < _LEAST_MATCHES:
@@ -130,4 +168,4 @@ def _guided(
         except DegenerateGeometryError:
             return []
         T, noise = found.T_i_j, found.noise
-    return [candidate(pair, kind, T)]
+    return [candidate(pair, kind, T, None if found is None else found.information)]

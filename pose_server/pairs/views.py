@@ -23,7 +23,7 @@ DENSE_POINTS = 10_000  # from here on a cloud is dense enough for ICP
 _CLOUD_POINTS = 20_000  # of a dense cloud, used for its surface and for ICP
 _SAMPLE_POINTS = 1_000
 _MATCHED_POINTS = 8_000  # salient points, at most: matching takes memory by their square
-_ICP_PIXELS = 12.0  # lateral resolution of ICP, in pixels at the median depth
+_ICP_PIXELS = 18.0  # lateral resolution of ICP, in pixels at the median depth
 
 
 @dataclass(frozen=True)
