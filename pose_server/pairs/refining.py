@@ -113,8 +113,8 @@ def from_matches(pair: Pair, T: Floats, matches: Indices, kind: str) -> list[Can
             first = pair.refined(first.T_i_j, matches, first.noise)
     except DegenerateGeometryError:
         return []
-    found = [candidate(pair, kind, first.T_i_j, first.information)]
-    return found + _guided(pair, kind, first.T_i_j, (0.01, 0.006), matches, first.noise)
+    guided = _guided(pair, kind, first.T_i_j, (0.01, 0.006), matches, first.noise)
+    return guided or [candidate(pair, kind, first.T_i_j, first.information)]
 
 
 def from_start(pair: Pair, start: Start) -> list[Candidate]:
