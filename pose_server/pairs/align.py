@@ -20,7 +20,7 @@ from pose_server.pairs.refining import (
     best_of,
     by_shape,
     candidate,
-    from_features,
+    from_poses,
     from_rough,
     from_start,
     with_icp,
@@ -59,7 +59,7 @@ def align_pair(
         candidates += from_start(pair, start)
     result = _judge_best(pair, candidates) if candidates else None
     if features and (result is None or not _is_strong(result)):
-        more = from_features(pair, "features", _USUAL_POSES)
+        more = from_poses(pair, pair.ratio, "features", _USUAL_POSES)
         candidates += more
         result = _judge_best(pair, candidates) if more else result
     if result is None:
@@ -75,19 +75,21 @@ def align_pair(
     return with_byproducts(pair, replace(result, timings_ms=timings))
 
 
-def align_wide(i: PreparedView, j: PreparedView, usual: PairResult) -> PairResult:
-    """Aligns two views again by their wide sets of salient points.
-
-    Among many more points there are many more wrong matches: the more similar half of them is one
-    more start. Where no matches agree, the shapes of dense clouds may.
+def align_wide(
+    i: PreparedView, j: PreparedView, usual: PairResult, starts: Sequence[Start] = ()
+) -> PairResult:
+    """Aligns two views again by their wide sets of salient points; where no matches agree, by the
+    shapes of dense clouds.
 
     Args:
         i, j: the views with their wide sets.
         usual: what `align_pair` made of the usual sets; its pose is a candidate too.
+        starts: poses to begin from as well.
     """
     began = time.perf_counter()
     pair = Pair(i, j, WIDE_RATIO)
-    candidates = from_features(pair, "wide", _WIDE_POSES)
+    candidates = [one for start in starts for one in from_start(pair, start)]
+    candidates += from_poses(pair, pair.ratio, "wide", _WIDE_POSES)
     if usual.T_i_j is not None:
         candidates.append(candidate(pair, usual.start, usual.T_i_j))
     result = _judge_best(pair, candidates) if candidates else usual

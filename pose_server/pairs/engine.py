@@ -202,7 +202,7 @@ def run_job(job: Job) -> PairResult:
         wide_i, wide_j = (
             without_moving(_wide(encoded), encoded.mask) for encoded in (job.i, job.j)
         )
-        result = align_wide(wide_i, wide_j, result)
+        result = align_wide(wide_i, wide_j, result, starts)
     return _finite(with_operator_fallback(result, operator, i, j))
 
 

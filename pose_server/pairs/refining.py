@@ -21,6 +21,7 @@ Indices = npt.NDArray[np.int64]
 _ENOUGH_MATCHES = 300  # to find a pose; all are used to judge it
 _LEAST_MATCHES, _LEAST_AGREEING = 6, 5
 _NEARLY = 0.6
+_COARSE, _COARSE_POSES = 0.02, 2  # from here on most matches around predicted places may be wrong
 _SHAPE_RESOLUTION = 0.03  # share of the depth
 _ROUGH_RADIUS, _ROUGH_ITERATIONS = 0.08, 10  # of ICP from a coarse start; share of the depth
 _ROUGH_SIGMA = 0.01  # of what comes of it
@@ -64,20 +65,21 @@ def best_of(candidates: Sequence[Candidate]) -> Candidate:
     return max(candidates, key=lambda one: one.score)
 
 
-def from_features(pair: Pair, kind: str, most: int) -> list[Candidate]:
-    """What refinement makes of the poses that matches by descriptor agree on: of so many at most,
-    and only of those that nearly as many agree on as on the best.
+def from_poses(pair: Pair, matches: Indices, kind: str, most: int) -> list[Candidate]:
+    """What refinement makes of the poses that matches (M, 2) of lifted points agree on, of which
+    most may be wrong: of so many poses at most, and only of those that nearly as many agree on as
+    on the best.
     """
     found: list[tuple[float, Refinement, Indices]] = []
     o = pair.i.observed, pair.j.observed
-    for T, agrees in poses_by_triangles(*o, pair.ratio, pair.depth_m):
+    for T, agrees in poses_by_triangles(*o, matches, pair.depth_m):
         if len(agrees) < _LEAST_AGREEING or (found and len(agrees) < _NEARLY * len(found[0][2])):
             continue
         try:
             refined = pair.refined(T, agrees, _START_NOISE, 4)
         except DegenerateGeometryError:
             continue
-        found.append((pair.support(refined.T_i_j, pair.ratio), refined, agrees))
+        found.append((pair.support(refined.T_i_j, matches), refined, agrees))
     found.sort(key=lambda one: -one[0])
     candidates = []
     for support, refined, agrees in found[:most]:
@@ -122,7 +124,10 @@ def from_start(pair: Pair, start: Start) -> list[Candidate]:
     uncertainty.
     """
     found = [candidate(pair, start.kind, start.T_i_j)]
-    radii = (min(0.1, 2 * start.sigma), min(0.03, start.sigma), 0.01, 0.006)
+    if start.sigma > _COARSE:
+        around = pair.guided(start.T_i_j, min(0.1, 2 * start.sigma))
+        return found + from_poses(pair, pair.lifted(around), start.kind, _COARSE_POSES)
+    radii = (2 * start.sigma, min(0.03, start.sigma), 0.01, 0.006)
     return found + _guided(pair, start.kind, start.T_i_j, radii, NO_MATCHES, _START_NOISE)
 
 
