@@ -23,6 +23,7 @@ from pose_server.pairs.refining import (
     from_poses,
     from_rough,
     from_start,
+    middle_of,
     with_icp,
     with_surfaces,
 )
@@ -133,7 +134,7 @@ def _needs_icp(result: PairResult) -> bool:
 
 
 def _judge_best(pair: Pair, candidates: Sequence[Candidate]) -> PairResult:
-    best = with_surfaces(pair, best_of(candidates))
+    best = with_surfaces(pair, middle_of(pair, candidates))
     return judged(pair, best.T_i_j, best.start)
 
 

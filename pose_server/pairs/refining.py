@@ -21,6 +21,7 @@ Indices = npt.NDArray[np.int64]
 _ENOUGH_MATCHES = 300  # to find a pose; all are used to judge it
 _LEAST_MATCHES, _LEAST_AGREEING = 6, 5
 _NEARLY = 0.6
+_AS_GOOD, _ALIKE = 0.94, 0.15  # of the best score; share of the depth
 _COARSE, _COARSE_POSES = 0.02, 2  # from here on most matches around predicted places may be wrong
 _SHAPE_RESOLUTION = 0.03  # share of the depth
 _ROUGH_RADIUS, _ROUGH_ITERATIONS = 0.08, 10  # of ICP from a coarse start; share of the depth
@@ -63,6 +64,24 @@ def candidate(pair: Pair, kind: str, T: Floats, information: Floats | None = Non
 def best_of(candidates: Sequence[Candidate]) -> Candidate:
     """The one that scores best."""
     return max(candidates, key=lambda one: one.score)
+
+
+def middle_of(pair: Pair, candidates: Sequence[Candidate]) -> Candidate:
+    """The middle one of the best and those near it that are as good: noise alone decides which of
+    these scores best.
+    """
+    best = best_of(candidates)
+    near = [
+        one
+        for one in candidates
+        if one.score > _AS_GOOD * best.score
+        and np.linalg.norm(one.T_i_j[:3, 3] - best.T_i_j[:3, 3]) < _ALIKE * pair.depth_m
+    ]
+    if len(near) < 3:
+        return best
+    places = np.array([one.T_i_j[:3, 3] for one in near])
+    apart = np.linalg.norm(places[:, None] - places[None], axis=2).sum(axis=1)
+    return near[int(apart.argmin())]
 
 
 def from_poses(pair: Pair, matches: Indices, kind: str, most: int) -> list[Candidate]:
