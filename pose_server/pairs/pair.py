@@ -40,11 +40,6 @@ class Pair:
     def points(self, matches: Indices) -> tuple[Floats, Floats]:
         return self.i.observed.points[matches[:, 0]], self.j.observed.points[matches[:, 1]]
 
-    def lifted(self, matches: Indices) -> Indices:
-        """Those of matches (M, 2) whose points have a depth in both views."""
-        known_i = np.isfinite(self.i.observed.inverse_depth[matches[:, 0]])
-        return matches[known_i & np.isfinite(self.j.observed.inverse_depth[matches[:, 1]])]
-
     def refined(
         self, T: Floats, matches: Indices, noise: NoiseScale, iterations: int = 6
     ) -> Refinement:

@@ -22,7 +22,6 @@ _ENOUGH_MATCHES = 300  # to find a pose; all are used to judge it
 _LEAST_MATCHES, _LEAST_AGREEING = 6, 5
 _NEARLY = 0.6
 _AS_GOOD, _ALIKE = 0.94, 0.15  # of the best score; share of the depth
-_COARSE, _COARSE_POSES = 0.02, 2  # from here on most matches around predicted places may be wrong
 _SHAPE_RESOLUTION = 0.03  # share of the depth
 _ROUGH_RADIUS, _ROUGH_ITERATIONS = 0.08, 10  # of ICP from a coarse start; share of the depth
 _ROUGH_SIGMA = 0.01  # of what comes of it
@@ -143,10 +142,7 @@ def from_start(pair: Pair, start: Start) -> list[Candidate]:
     uncertainty.
     """
     found = [candidate(pair, start.kind, start.T_i_j)]
-    if start.sigma > _COARSE:
-        around = pair.guided(start.T_i_j, min(0.1, 2 * start.sigma))
-        return found + from_poses(pair, pair.lifted(around), start.kind, _COARSE_POSES)
-    radii = (2 * start.sigma, min(0.03, start.sigma), 0.01, 0.006)
+    radii = (min(0.1, 2 * start.sigma), min(0.03, start.sigma), 0.01, 0.006)
     return found + _guided(pair, start.kind, start.T_i_j, radii, NO_MATCHES, _START_NOISE)
 
 
