@@ -65,10 +65,21 @@ def refine(
     noise: NoiseScale = NoiseScale(),
     iterations: int = 8,
     estimate_noise: bool = True,
+    most_pixel_noise: float = 4.0,
 ) -> Refinement:
     """Refines T_i_j on matches (M, 2) of salient points of which at least one has a depth.
 
     With zero iterations it only scores the pose given.
+
+    Args:
+        i, j: the salient points.
+        matches: of which some may be wrong.
+        T_i_j: where to begin.
+        noise: to begin with.
+        iterations: at most.
+        estimate_noise: whether the noise is found anew.
+        most_pixel_noise: the largest scale of the pixels' noise that may be found. Among wrong
+            matches around predicted places a wide one confirms any pose.
 
     Raises:
         DegenerateGeometryError: fewer than three matches with depth.
@@ -86,7 +97,7 @@ def refine(
         norm = np.linalg.norm(increment[:3])
         T = retract(T, increment if norm < 0.5 else increment * (0.5 / norm))
         if estimate_noise and step >= 1 and weighed.inliers.sum() >= 8:
-            noise = _estimated(noise, weighed, i, j)
+            noise = _estimated(noise, weighed, i, j, most_pixel_noise)
         if step >= 2 and increment @ H @ increment < _SETTLED_SIGMAS**2:
             break
     return _result(T, _weigh(problem, T, noise), noise, problem.order, len(matches))
@@ -203,7 +214,9 @@ def _result(
     )
 
 
-def _estimated(noise: NoiseScale, weighed: _Weighed, i: Observed, j: Observed) -> NoiseScale:
+def _estimated(
+    noise: NoiseScale, weighed: _Weighed, i: Observed, j: Observed, most: float
+) -> NoiseScale:
     """The noise levels that make the residuals of well-weighted matches as large as expected."""
     good = weighed.weights > 0.05
     stated = np.hypot(i.pixel_sigma_px, j.pixel_sigma_px)
@@ -212,4 +225,4 @@ def _estimated(noise: NoiseScale, weighed: _Weighed, i: Observed, j: Observed) -
     depth = noise.depth
     if deep.sum() >= 8:
         depth *= _CHI2_MEDIAN_1DOF * float(np.median(weighed.depth_ratio[deep]))
-    return NoiseScale(float(np.clip(pixel, 0.4, 4.0)), float(np.clip(depth, 0.25, 6.0)))
+    return NoiseScale(float(np.clip(pixel, 0.4, most)), float(np.clip(depth, 0.25, 6.0)))

@@ -23,6 +23,7 @@ Indices = npt.NDArray[np.int64]
 # depth).
 COVARIANCE_INFLATION = 2.8
 COVARIANCE_FLOOR = 3e-4
+_MOST_PIXEL_NOISE = 4.0  # that may be found at a pose: an alias shows by it
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def judged(pair: Pair, T: Floats, start: str) -> PairResult:
         reason = f"{len(matches)} matches at the found pose, need 6"
         return PairResult(T, None, "rejected", (reason,), overlap=seen.overlap, start=start)
     try:
-        again = pair.refined(T, matches, NoiseScale(), 4)
+        again = pair.refined(T, matches, NoiseScale(), 4, _MOST_PIXEL_NOISE)
         final = pair.scored(T, matches, again.noise)
     except DegenerateGeometryError as error:
         return PairResult(T, None, "rejected", (str(error),), overlap=seen.overlap, start=start)

@@ -41,9 +41,16 @@ class Pair:
         return self.i.observed.points[matches[:, 0]], self.j.observed.points[matches[:, 1]]
 
     def refined(
-        self, T: Floats, matches: Indices, noise: NoiseScale, iterations: int = 6
+        self,
+        T: Floats,
+        matches: Indices,
+        noise: NoiseScale,
+        iterations: int = 6,
+        most_pixel_noise: float = 1.0,
     ) -> Refinement:
-        return refine(self.i.observed, self.j.observed, matches, T, noise, iterations)
+        """See `refine`; pixels are taken to be no worse than the cameras state."""
+        views = self.i.observed, self.j.observed
+        return refine(*views, matches, T, noise, iterations, most_pixel_noise=most_pixel_noise)
 
     def scored(self, T: Floats, matches: Indices, noise: NoiseScale) -> Refinement:
         return refine(self.i.observed, self.j.observed, matches, T, noise, 0)
