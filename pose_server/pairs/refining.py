@@ -21,6 +21,7 @@ Indices = npt.NDArray[np.int64]
 _ENOUGH_MATCHES = 300  # to find a pose; all are used to judge it
 _LEAST_MATCHES, _LEAST_AGREEING = 6, 5
 _NEARLY = 0.6
+_FEW = 0.2
 _AS_GOOD, _ALIKE = 0.94, 0.15  # of the best score; share of the depth
 _SHAPE_RESOLUTION = 0.03  # share of the depth
 _ROUGH_RADIUS, _ROUGH_ITERATIONS = 0.08, 10  # of ICP from a coarse start; share of the depth
@@ -89,21 +90,35 @@ def from_poses(pair: Pair, matches: Indices, kind: str, most: int) -> list[Candi
     on the best.
     """
     found: list[tuple[float, Refinement, Indices]] = []
-    o = pair.i.observed, pair.j.observed
-    for T, agrees in poses_by_triangles(*o, matches, pair.depth_m):
+    for T, agrees in _coarse_poses(pair, matches):
         if len(agrees) < _LEAST_AGREEING or (found and len(agrees) < _NEARLY * len(found[0][2])):
             continue
         try:
             refined = pair.refined(T, agrees, _START_NOISE, 4)
         except DegenerateGeometryError:
             continue
-        found.append((pair.support(refined.T_i_j, matches), refined, agrees))
+        found.append((pair.scored(refined.T_i_j, matches, _START_NOISE).support, refined, agrees))
     found.sort(key=lambda one: -one[0])
     candidates = []
     for support, refined, agrees in found[:most]:
         if support >= _NEARLY * found[0][0]:
             candidates += from_matches(pair, refined.T_i_j, agrees, kind)
     return candidates
+
+
+def _coarse_poses(pair: Pair, matches: Indices) -> list[tuple[Floats, Indices]]:
+    """By triangles; where few agree, also by a solver that forgives depths all wrong alike."""
+    found = poses_by_triangles(pair.i.observed, pair.j.observed, matches, pair.depth_m)
+    if (found and len(found[0][1]) > _FEW * len(matches)) or len(matches) < _LEAST_MATCHES:
+        return found
+    p_i, p_j = pair.points(matches)
+    bound = float(np.clip(1.5 * pair.sigma, 0.01, 0.03))
+    solved = robust.solve(p_i / pair.depth_m, p_j / pair.depth_m, bound)
+    if solved is None:
+        return found
+    T, agrees = solved[0].copy(), solved[1]
+    T[:3, 3] *= pair.depth_m
+    return [*found, (T, matches[agrees])]
 
 
 def by_shape(pair: Pair) -> Floats | None:
