@@ -55,31 +55,30 @@ class Pair:
     def scored(self, T: Floats, matches: Indices, noise: NoiseScale) -> Refinement:
         return refine(self.i.observed, self.j.observed, matches, T, noise, 0)
 
-    def guided(self, T: Floats, radius: float) -> Indices:
-        """Matches around the predicted place, both ways; the radius is a share of the depth."""
-        i, j = self.i.observed, self.j.observed
-        tolerance = max(0.1, 5 * self.sigma)
-        pixels_i, pixels_j = max(radius * i.focal_px, 4.0), max(radius * j.focal_px, 4.0)
-        into_j, score_j = guided_matches(
-            i.predict_in(j, inverse(T), pixels_j),
-            self.i.descriptors,
-            j.grid,
-            j.inverse_depth,
-            self.j.descriptors,
-            pixels_j,
-            tolerance,
+    def guided(self, T: Floats, radius: float, both_ways: bool = True) -> Indices:
+        """Matches around the predicted places of j's points in i, and of i's in j; the radius is a
+        share of the depth.
+        """
+        found = [self._around(self.j, self.i, T, radius)]
+        if both_ways:
+            matches, cosines = self._around(self.i, self.j, inverse(T), radius)
+            found.append((matches[:, ::-1], cosines))
+        matches, cosines = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return one_to_one(matches[:, ::-1], cosines)
+
+    def _around(
+        self, source: PreparedView, target: PreparedView, T_target_source: Floats, radius: float
+    ) -> tuple[Indices, Floats]:
+        pixels = max(radius * target.observed.focal_px, 4.0)
+        return guided_matches(
+            source.observed.predict_in(target.observed, T_target_source, pixels),
+            source.descriptors,
+            target.observed.grid,
+            target.observed.inverse_depth,
+            target.descriptors,
+            pixels,
+            max(0.1, 5 * self.sigma),
         )
-        into_i, score_i = guided_matches(
-            j.predict_in(i, T, pixels_i),
-            self.j.descriptors,
-            i.grid,
-            i.inverse_depth,
-            self.i.descriptors,
-            pixels_i,
-            tolerance,
-        )
-        both = np.concatenate((into_j, into_i[:, ::-1]))
-        return one_to_one(both, np.concatenate((score_j, score_i)))
 
     def same_pose(self, a: Floats, b: Floats) -> bool:
         """Whether two poses are one: a start from either leads to the same place."""

@@ -194,7 +194,7 @@ def _guided(
 ) -> list[Candidate]:
     found = None
     for radius in radii:
-        matches = np.unique(np.concatenate((pair.guided(T, radius), kept)), axis=0)
+        matches = np.unique(np.concatenate((pair.guided(T, radius, both_ways=radius == radii[-1]), kept)), axis=0)
         if len(matches) < _LEAST_MATCHES:
             return []
         some = matches[:: 1 + len(matches) // _ENOUGH_MATCHES]
