@@ -135,7 +135,7 @@ def _needs_icp(result: PairResult) -> bool:
 
 def _judge_best(pair: Pair, candidates: Sequence[Candidate]) -> PairResult:
     best = with_surfaces(pair, middle_of(pair, candidates))
-    return judged(pair, best.T_i_j, best.start)
+    return judged(pair, best.T_i_j, best.start, best.T_by_matches)
 
 
 def _is_strong(result: PairResult) -> bool:

@@ -49,15 +49,24 @@ class PairResult:
     moving: tuple[Mask | None, Mask | None] = (None, None)
 
 
-def judged(pair: Pair, T: Floats, start: str) -> PairResult:
-    """Collects all evidence at the final pose, and the verdict."""
+def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None) -> PairResult:
+    """Collects all evidence at the final pose, and the verdict.
+
+    Args:
+        pair: the views.
+        T: the final pose.
+        start: what led to it.
+        T_by_matches: the pose by matches alone, where surfaces have moved it: a refit on matches
+            must not move that one.
+    """
+    rest = T if T_by_matches is None else T_by_matches
     matches = np.unique(np.concatenate((pair.guided(T, 0.008), pair.ratio)), axis=0)
     seen = pair.agreement(T)
     if len(matches) < 6:
         reason = f"{len(matches)} matches at the found pose, need 6"
         return PairResult(T, None, "rejected", (reason,), overlap=seen.overlap, start=start)
     try:
-        again = pair.refined(T, matches, NoiseScale(), 4, _MOST_PIXEL_NOISE)
+        again = pair.refined(rest, matches, NoiseScale(), 4, _MOST_PIXEL_NOISE)
         final = pair.scored(T, matches, again.noise)
     except DegenerateGeometryError as error:
         return PairResult(T, None, "rejected", (str(error),), overlap=seen.overlap, start=start)
@@ -68,7 +77,9 @@ def judged(pair: Pair, T: Floats, start: str) -> PairResult:
     if covariance is None:
         reason = "the matches do not determine a pose"
         return PairResult(T, None, "rejected", (reason,), overlap=seen.overlap, start=start)
-    evidence = _evidence(pair, T, matches, final, again, covariance, places, seen)
+    evidence = _evidence(
+        pair, T, matches, final, again.noise, _moved(rest, again.T_i_j), covariance, places, seen
+    )
     verdict, reasons = judge(evidence)
     error_m2, count = regression_error(pair, T)
     return PairResult(
@@ -91,33 +102,40 @@ def _evidence(
     T: Floats,
     matches: Indices,
     final: Refinement,
-    again: Refinement,
+    noise: NoiseScale,
+    moved: tuple[float, float],
     covariance: Floats,
     places: int,
     seen: Agreement,
 ) -> Evidence:
-    ratio = pair.scored(T, pair.ratio, again.noise) if len(pair.ratio) >= 3 else None
+    ratio = pair.scored(T, pair.ratio, noise) if len(pair.ratio) >= 3 else None
     consistent = _places(pair, pair.ratio[ratio.inliers]) if ratio else 0
     inliers = final.inliers
     return Evidence(
         inliers=places,
         ratio_inliers=consistent,
         ratio_matches=len(pair.ratio),
-        rival=_rival(pair, T, ratio, again.noise),
+        rival=_rival(pair, T, ratio, noise),
         position_sigma=_weakest(position_covariance(T, covariance)) / pair.depth_m,
         rotation_sigma_rad=_weakest(covariance[:3, :3]),
         across_px=_robust_sigma(final.across_px[inliers]),
         pixel_sigma_px=float(
             np.hypot(pair.i.observed.pixel_sigma_px, pair.j.observed.pixel_sigma_px)
         ),
-        shift=float(np.linalg.norm(again.T_i_j[:3, 3] - T[:3, 3])) / pair.depth_m,
-        turn_rad=rotation_angle(again.T_i_j[:3, :3].T @ T[:3, :3]),
+        shift=moved[0] / pair.depth_m,
+        turn_rad=moved[1],
         compared=seen.compared,
         agree=seen.agree,
         through=seen.through,
         spread=_spread(pair, matches[inliers]),
-        depth_noise=again.noise.depth,
+        depth_noise=noise.depth,
     )
+
+
+def _moved(T: Floats, other: Floats) -> tuple[float, float]:
+    """Metres and radians from a pose to another."""
+    shift = float(np.linalg.norm(other[:3, 3] - T[:3, 3]))
+    return shift, rotation_angle(other[:3, :3].T @ T[:3, :3])
 
 
 def _weakest(covariance: Floats) -> float:

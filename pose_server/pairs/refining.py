@@ -46,14 +46,18 @@ class Start:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A pose, the kind of start that led to it, and its score among all of a pair; the information
-    (6, 6) of the matches that it was refined on, if it was.
+    """A pose, the kind of start that led to it, and its score among all of a pair.
+
+    Attributes:
+        information: (6, 6) of the matches that it was refined on, if it was.
+        T_by_matches: the pose by these alone, where surfaces have moved it since.
     """
 
     start: str
     T_i_j: Floats
     score: float
     information: Floats | None = None
+    T_by_matches: Floats | None = None
 
 
 def candidate(pair: Pair, kind: str, T: Floats, information: Floats | None = None) -> Candidate:
@@ -175,7 +179,7 @@ def with_surfaces(pair: Pair, one: Candidate) -> Candidate:
         return one
     surfaces = fit.hessian / (pair.sigma * pair.depth_m) ** 2
     T = weighted_mean(one.T_i_j, one.information, fit.T_i_j, surfaces)
-    return replace(one, T_i_j=T, information=None)
+    return replace(one, T_i_j=T, T_by_matches=one.T_i_j)
 
 
 def with_icp(pair: Pair, one: Candidate) -> Candidate:
@@ -194,7 +198,9 @@ def _guided(
 ) -> list[Candidate]:
     found = None
     for radius in radii:
-        matches = np.unique(np.concatenate((pair.guided(T, radius, both_ways=radius == radii[-1]), kept)), axis=0)
+        matches = np.unique(
+            np.concatenate((pair.guided(T, radius, both_ways=radius == radii[-1]), kept)), axis=0
+        )
         if len(matches) < _LEAST_MATCHES:
             return []
         some = matches[:: 1 + len(matches) // _ENOUGH_MATCHES]
