@@ -24,6 +24,7 @@ Vector = tuple[float, float, float]
 POSES = 8
 MOST_MATCHES = 600  # compatibility takes time by their square
 _EDGES, _THIRDS = 500, 3
+_ENOUGH = 0.3  # of the largest possible score: most matches agree, and refinement does the rest
 _SIGMAS = 3.5  # by which compatible distances may differ
 _LATERAL = 0.002  # sigma of a point across its ray, share of the depth
 _SHORTEST = 0.05  # edge of a triangle, share of the depth
@@ -79,6 +80,7 @@ def poses_by_triangles(
         near_depth,
         _APART * depth_m,
         POSES,
+        _ENOUGH * len(matches),
     )
     found = []
     for T in poses[np.argsort(-scores)][: int((scores > 0).sum())]:
@@ -249,7 +251,7 @@ def _score(
 
 @njit(
     "Tuple((f8[::1], f8[:, :, ::1]))(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[:, ::1],"
-    " u8[:, ::1], i8[:, ::1], i8, f8, f8, f8, i8)",
+    " u8[:, ::1], i8[:, ::1], i8, f8, f8, f8, i8, f8)",
     cache=True,
 )
 def _best_poses(
@@ -265,9 +267,11 @@ def _best_poses(
     near_depth: float,
     apart: float,
     kept: int,
+    enough: float,
 ) -> tuple[Floats, Floats]:
     """Scores (kept,), 0 for none, and poses (kept, 4, 4) of the best triangles on the edges (E, 2),
-    each with so many thirds of those that are compatible with both ends.
+    each with so many thirds of those that are compatible with both ends; no more are tried once one
+    scores enough.
     """
     scores, poses = np.zeros(kept), np.zeros((kept, 4, 4))
     A, B, T = np.empty((3, 3)), np.empty((3, 3)), np.eye(4)
@@ -299,4 +303,6 @@ def _best_poses(
                 continue
             scores[place] = score
             poses[place] = T
+        if scores.max() > enough:
+            break
     return scores, poses

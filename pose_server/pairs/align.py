@@ -19,7 +19,6 @@ from pose_server.pairs.refining import (
     Start,
     best_of,
     by_shape,
-    candidate,
     from_poses,
     from_rough,
     from_start,
@@ -92,7 +91,7 @@ def align_wide(
     candidates = [one for start in starts for one in from_start(pair, start)]
     candidates += from_poses(pair, pair.ratio, "wide", _WIDE_POSES)
     if usual.T_i_j is not None:
-        candidates.append(candidate(pair, usual.start, usual.T_i_j))
+        candidates.append(Candidate(pair, usual.start, usual.T_i_j))
     result = _judge_best(pair, candidates) if candidates else usual
     if result.verdict == "rejected" and i.dense and j.dense:
         rough = [(one.start, one.T_i_j) for one in candidates] + [("shape", by_shape(pair))]

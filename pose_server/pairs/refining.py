@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -44,36 +45,38 @@ class Start:
     sigma: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Candidate:
-    """A pose, the kind of start that led to it, and its score among all of a pair.
+    """A pose of a pair and the kind of start that led to it.
 
     Attributes:
         information: (6, 6) of the matches that it was refined on, if it was.
         T_by_matches: the pose by these alone, where surfaces have moved it since.
     """
 
+    pair: Pair
     start: str
     T_i_j: Floats
-    score: float
     information: Floats | None = None
     T_by_matches: Floats | None = None
 
-
-def candidate(pair: Pair, kind: str, T: Floats, information: Floats | None = None) -> Candidate:
-    """A scored pose."""
-    return Candidate(kind, T, pair.score(T), information)
+    @cached_property
+    def score(self) -> float:
+        """See `Pair.score`; a candidate without rivals needs none."""
+        return self.pair.score(self.T_i_j)
 
 
 def best_of(candidates: Sequence[Candidate]) -> Candidate:
     """The one that scores best."""
-    return max(candidates, key=lambda one: one.score)
+    return max(candidates, key=lambda one: one.score) if len(candidates) > 1 else candidates[0]
 
 
 def middle_of(pair: Pair, candidates: Sequence[Candidate]) -> Candidate:
     """The middle one of the best and those near it that are as good: noise alone decides which of
     these scores best.
     """
+    if len(candidates) < 3:
+        return best_of(candidates)
     best = best_of(candidates)
     near = [
         one
@@ -153,14 +156,14 @@ def from_matches(pair: Pair, T: Floats, matches: Indices, kind: str) -> list[Can
     except DegenerateGeometryError:
         return []
     guided = _guided(pair, kind, first.T_i_j, (0.01, 0.006), matches, first.noise)
-    return guided or [candidate(pair, kind, first.T_i_j, first.information)]
+    return guided or [Candidate(pair, kind, first.T_i_j, first.information)]
 
 
 def from_start(pair: Pair, start: Start) -> list[Candidate]:
     """A given pose, and what guided matching makes of it with a radius that follows its
     uncertainty.
     """
-    found = [candidate(pair, start.kind, start.T_i_j)]
+    found = [Candidate(pair, start.kind, start.T_i_j)]
     radii = (min(0.1, 2 * start.sigma), min(0.03, start.sigma), 0.01, 0.006)
     return found + _guided(pair, start.kind, start.T_i_j, radii, NO_MATCHES, _START_NOISE)
 
@@ -185,7 +188,7 @@ def with_surfaces(pair: Pair, one: Candidate) -> Candidate:
 def with_icp(pair: Pair, one: Candidate) -> Candidate:
     """A candidate after ICP; itself if that scores worse."""
     fit = _icp(pair, one.T_i_j, _FINE_RADIUS_PX * pair.depth_m / pair.i.observed.focal_px)
-    other = candidate(pair, one.start, fit.T_i_j)
+    other = Candidate(pair, one.start, fit.T_i_j)
     return other if other.score > one.score else one
 
 
@@ -209,4 +212,4 @@ def _guided(
         except DegenerateGeometryError:
             return []
         T, noise = found.T_i_j, found.noise
-    return [candidate(pair, kind, T, None if found is None else found.information)]
+    return [Candidate(pair, kind, T, None if found is None else found.information)]
