@@ -1,6 +1,6 @@
 """The salient points of one view as the geometry sees them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -47,6 +47,18 @@ class Observed:
     def grid(self) -> PixelGrid:
         """Of the pixels."""
         return PixelGrid.of(self.uv)
+
+    def with_points(self, points: Floats, depth_sigma: float) -> "Observed":
+        """The same with more points (M, 3) behind its own; the sigma is a share of their depth."""
+        inverse_depth = 1.0 / points[:, 2]
+        return replace(
+            self,
+            uv=np.concatenate((self.uv, self.project(points)[0])),
+            inverse_depth=np.concatenate((self.inverse_depth, inverse_depth)),
+            inverse_depth_sigma=np.concatenate(
+                (self.inverse_depth_sigma, depth_sigma * inverse_depth)
+            ),
+        )
 
     @property
     def focal_px(self) -> float:

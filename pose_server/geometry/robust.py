@@ -33,19 +33,22 @@ def solve(
     return (T, agrees) if agrees.sum() >= 5 else None
 
 
-def by_shape(points_i: Floats, points_j: Floats, resolution: float) -> Floats:
-    """T_i_j of two clouds (N, 3) by the shape around their points alone: FasterPFH, pruning, solver
-    (KISS-Matcher). It always answers, rightly or not.
+def matches_by_shape(
+    points_i: Floats, points_j: Floats, resolution: float
+) -> tuple[Floats, Floats]:
+    """Points (M, 3) of two clouds (N, 3) around which the shape is alike, by FasterPFH
+    (KISS-Matcher); most of them are not the same.
     """
     matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(1.0))
     source, target = (
         np.ascontiguousarray(p / resolution, np.float32) for p in (points_j, points_i)
     )
-    found = matcher.estimate(source, target)
-    return make_pose(
-        np.asarray(found.rotation, np.float64),
-        resolution * np.asarray(found.translation, np.float64),
+    matcher.match(source, target)
+    found_j, found_i = (
+        resolution * np.asarray(points, np.float64).reshape(-1, 3)
+        for points in matcher.get_keypoints_from_initial_matching()
     )
+    return found_i, found_j
 
 
 def _distance(T_i_j: Floats, p_i: Floats, p_j: Floats) -> Floats:

@@ -18,10 +18,9 @@ from pose_server.pairs.refining import (
     Candidate,
     Start,
     best_of,
-    by_shape,
     from_poses,
-    from_rough,
     from_start,
+    from_surfaces,
     middle_of,
     with_icp,
     with_surfaces,
@@ -94,10 +93,7 @@ def align_wide(
         candidates.append(Candidate(pair, usual.start, usual.T_i_j))
     result = _judge_best(pair, candidates) if candidates else usual
     if result.verdict == "rejected" and i.dense and j.dense:
-        rough = [(one.start, one.T_i_j) for one in candidates] + [("shape", by_shape(pair))]
-        candidates += [
-            one for kind, T in rough if T is not None for one in from_rough(pair, T, kind)
-        ]
+        candidates += from_surfaces(pair)
         result = _judge_best(pair, candidates)
     result = _finished(pair, candidates, result)
     timings = {**usual.timings_ms, "wide": 1e3 * (time.perf_counter() - began)}

@@ -27,6 +27,8 @@ _AS_GOOD, _ALIKE = 0.94, 0.15  # of the best score; share of the depth
 _SHAPE_RESOLUTION = 0.03  # share of the depth
 _ROUGH_RADIUS, _ROUGH_ITERATIONS = 0.08, 10  # of ICP from a coarse start; share of the depth
 _ROUGH_SIGMA = 0.01  # of what comes of it
+_SHAPE_SIGMA = 0.01  # of where a shape is, share of its depth
+_SURFACE_POSES = 2
 _FINE_RADIUS_PX = 30.0  # of ICP from a pose that matches agree on, at the median depth
 _FAR = 0.04  # share of the depth: surfaces that lead so far away are others
 # The image is trusted first. Where depths are worse than stated, a fit that may widen the pixel
@@ -128,18 +130,39 @@ def _coarse_poses(pair: Pair, matches: Indices) -> list[tuple[Floats, Indices]]:
     return [*found, (T, matches[agrees])]
 
 
-def by_shape(pair: Pair) -> Floats | None:
-    """T_i_j by the shapes of dense clouds alone."""
-    T = robust.by_shape(
+def from_surfaces(pair: Pair) -> list[Candidate]:
+    """What dense clouds make of coarse poses of which hardly any matches tell the right one.
+
+    Matches by shape join those by descriptor; all their poses go through a rough ICP, and the ones
+    at which the surfaces agree best are looked at again.
+    """
+    by_shape_i, by_shape_j = robust.matches_by_shape(
         pair.i.measured.points, pair.j.measured.points, _SHAPE_RESOLUTION * pair.depth_m
     )
-    return T if np.isfinite(T).all() else None
-
-
-def from_rough(pair: Pair, T: Floats, kind: str) -> list[Candidate]:
-    """What ICP and guided matching make of a coarse pose of dense clouds."""
-    rough = _icp(pair, T, _ROUGH_RADIUS * pair.depth_m, _ROUGH_ITERATIONS)
-    return from_start(pair, Start(kind, rough.T_i_j, _ROUGH_SIGMA))
+    views = [
+        view.observed.with_points(points, _SHAPE_SIGMA)
+        for view, points in ((pair.i, by_shape_i), (pair.j, by_shape_j))
+    ]
+    new = np.arange(len(by_shape_i))
+    first = [len(view.observed.uv) for view in (pair.i, pair.j)]
+    matches = np.concatenate((np.column_stack((first[0] + new, first[1] + new)), pair.ratio))
+    found = []
+    for T, _ in poses_by_triangles(*views, matches, pair.depth_m):
+        rough = gicp(
+            pair.i.measured.for_rough_icp,
+            pair.j.measured.for_rough_icp,
+            T,
+            _ROUGH_RADIUS * pair.depth_m,
+            _ROUGH_ITERATIONS,
+        ).T_i_j
+        seen = pair.agreement(rough)
+        found.append(((seen.mean_agree - seen.through) * seen.overlap**0.5, rough))
+    found.sort(key=lambda one: -one[0])
+    return [
+        one
+        for _, T in found[:_SURFACE_POSES]
+        for one in from_start(pair, Start("shape", T, _ROUGH_SIGMA))
+    ]
 
 
 def from_matches(pair: Pair, T: Floats, matches: Indices, kind: str) -> list[Candidate]:

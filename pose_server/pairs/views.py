@@ -23,6 +23,7 @@ DENSE_POINTS = 10_000  # from here on a cloud is dense enough for ICP
 _CLOUD_POINTS = 20_000  # of a dense cloud, used for its surface and for ICP
 _SAMPLE_POINTS = 1_000
 _MATCHED_POINTS = 8_000  # salient points, at most: matching takes memory by their square
+_COARSER = 1.4
 _ICP_PIXELS = 18.0  # lateral resolution of ICP, in pixels at the median depth
 
 
@@ -37,6 +38,11 @@ class MeasuredCloud:
     def for_icp(self) -> DenseCloud:
         """With covariances and a search tree."""
         return dense_cloud(self.points, self.resolution_m)
+
+    @cached_property
+    def for_rough_icp(self) -> DenseCloud:
+        """The same, coarser."""
+        return dense_cloud(self.points, _COARSER * self.resolution_m)
 
 
 @dataclass(frozen=True)
