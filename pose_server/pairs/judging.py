@@ -50,24 +50,24 @@ class PairResult:
 
 
 def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None) -> PairResult:
-    """Collects all evidence at the final pose, and the verdict.
+    """Collects all evidence for a pose, and the verdict.
 
     Args:
         pair: the views.
-        T: the final pose.
+        T: the final pose: surfaces are compared at it.
         start: what led to it.
-        T_by_matches: the pose by matches alone, where surfaces have moved it: a refit on matches
-            must not move that one.
+        T_by_matches: the pose by matches alone, where surfaces have moved it since: matches are
+            compared at it.
     """
     rest = T if T_by_matches is None else T_by_matches
-    matches = np.unique(np.concatenate((pair.guided(T, 0.008), pair.ratio)), axis=0)
+    matches = np.unique(np.concatenate((pair.guided(rest, 0.008), pair.ratio)), axis=0)
     seen = pair.agreement(T)
     if len(matches) < 6:
         reason = f"{len(matches)} matches at the found pose, need 6"
         return PairResult(T, None, "rejected", (reason,), overlap=seen.overlap, start=start)
     try:
         again = pair.refined(rest, matches, NoiseScale(), 4, _MOST_PIXEL_NOISE)
-        final = pair.scored(T, matches, again.noise)
+        final = pair.scored(rest, matches, again.noise)
     except DegenerateGeometryError as error:
         return PairResult(T, None, "rejected", (str(error),), overlap=seen.overlap, start=start)
     # copies of one spot in several tilted images tell one thing, not several
@@ -77,9 +77,7 @@ def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None
     if covariance is None:
         reason = "the matches do not determine a pose"
         return PairResult(T, None, "rejected", (reason,), overlap=seen.overlap, start=start)
-    evidence = _evidence(
-        pair, T, matches, final, again.noise, _moved(rest, again.T_i_j), covariance, places, seen
-    )
+    evidence = _evidence(pair, T, matches, final, again, covariance, places, seen)
     verdict, reasons = judge(evidence)
     error_m2, count = regression_error(pair, T)
     return PairResult(
@@ -102,40 +100,40 @@ def _evidence(
     T: Floats,
     matches: Indices,
     final: Refinement,
-    noise: NoiseScale,
-    moved: tuple[float, float],
+    again: Refinement,
     covariance: Floats,
     places: int,
     seen: Agreement,
 ) -> Evidence:
-    ratio = pair.scored(T, pair.ratio, noise) if len(pair.ratio) >= 3 else None
+    rest = final.T_i_j
+    ratio = pair.scored(rest, pair.ratio, again.noise) if len(pair.ratio) >= 3 else None
     consistent = _places(pair, pair.ratio[ratio.inliers]) if ratio else 0
     inliers = final.inliers
     return Evidence(
         inliers=places,
         ratio_inliers=consistent,
         ratio_matches=len(pair.ratio),
-        rival=_rival(pair, T, ratio, noise),
+        rival=_rival(pair, rest, ratio, again.noise),
         position_sigma=_weakest(position_covariance(T, covariance)) / pair.depth_m,
         rotation_sigma_rad=_weakest(covariance[:3, :3]),
         across_px=_robust_sigma(final.across_px[inliers]),
         pixel_sigma_px=float(
             np.hypot(pair.i.observed.pixel_sigma_px, pair.j.observed.pixel_sigma_px)
         ),
-        shift=moved[0] / pair.depth_m,
-        turn_rad=moved[1],
+        shift=_apart(pair, rest, again.T_i_j),
+        turn_rad=rotation_angle(again.T_i_j[:3, :3].T @ rest[:3, :3]),
+        pulled=_apart(pair, rest, T),
         compared=seen.compared,
         agree=seen.agree,
         through=seen.through,
         spread=_spread(pair, matches[inliers]),
-        depth_noise=noise.depth,
+        depth_noise=again.noise.depth,
     )
 
 
-def _moved(T: Floats, other: Floats) -> tuple[float, float]:
-    """Metres and radians from a pose to another."""
-    shift = float(np.linalg.norm(other[:3, 3] - T[:3, 3]))
-    return shift, rotation_angle(other[:3, :3].T @ T[:3, :3])
+def _apart(pair: Pair, a: Floats, b: Floats) -> float:
+    """How far two poses' positions are apart, share of the depth."""
+    return float(np.linalg.norm(a[:3, 3] - b[:3, 3])) / pair.depth_m
 
 
 def _weakest(covariance: Floats) -> float:

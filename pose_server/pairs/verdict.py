@@ -7,8 +7,9 @@ from typing import Literal
 
 Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
 
-# What is verified is not gravely wrong: three sigma of its weakest direction, and what a refit on
-# all matches moves it, lie within 5 % of the median depth, three sigma of its rotation within 5 deg
+# What is verified is not gravely wrong: three sigma of its weakest direction, what a refit on all
+# matches moves it, and what surfaces have moved it, lie within 5 % of the median depth together;
+# three sigma of its rotation lie within 5 deg
 _VERIFIED_POSITION = 0.05
 _VERIFIED_ROTATION_RAD = 0.087
 
@@ -26,8 +27,9 @@ class Evidence:
         rotation_sigma_rad: calibrated sigma of the weakest rotation.
         across_px: sigma of the residuals across the epipolar lines.
         pixel_sigma_px: what it should be by the cameras' noise.
-        shift: how far a refit on the matches moves the position, share.
+        shift: how far a refit on the matches moves the position that they led to, share.
         turn_rad: how far it turns.
+        pulled: how far surfaces have moved that position, share.
         compared: points compared with the other surface.
         agree: share of these that agree in depth.
         through: share of these that the other view sees through.
@@ -45,6 +47,7 @@ class Evidence:
     pixel_sigma_px: float
     shift: float
     turn_rad: float
+    pulled: float
     compared: int
     agree: float
     through: float
@@ -76,14 +79,14 @@ def _against(e: Evidence) -> tuple[str, ...]:
 def _doubts(e: Evidence) -> tuple[str, ...]:
     """What keeps a pose from being verified."""
     allowed_px = 1.5 * e.pixel_sigma_px
-    off = 3 * e.position_sigma + e.shift
+    off = 3 * e.position_sigma + e.shift + e.pulled
     return _said(
         (e.inliers < 14, f"{e.inliers} matches agree, need 14"),
         (e.ratio_inliers < 10, f"{e.ratio_inliers} unguided matches agree, need 10"),
         (
             off > _VERIFIED_POSITION,
-            f"three sigma of the position, and what a refit moves it, are {off:.1%} of the depth, "
-            f"need {_VERIFIED_POSITION:.0%}",
+            f"three sigma of the position, and what a refit and surfaces move it, are {off:.1%} "
+            f"of the depth, need {_VERIFIED_POSITION:.0%}",
         ),
         (
             3 * e.rotation_sigma_rad > _VERIFIED_ROTATION_RAD,

@@ -26,6 +26,7 @@ GOOD = Evidence(
     pixel_sigma_px=0.5,
     shift=0.001,
     turn_rad=0.001,
+    pulled=0.001,
     compared=500,
     agree=0.9,
     through=0.01,
