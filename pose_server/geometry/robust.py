@@ -33,23 +33,5 @@ def solve(
     return (T, agrees) if agrees.sum() >= 5 else None
 
 
-def matches_by_shape(
-    points_i: Floats, points_j: Floats, resolution: float
-) -> tuple[Floats, Floats]:
-    """Points (M, 3) of two clouds (N, 3) around which the shape is alike, by FasterPFH
-    (KISS-Matcher); most of them are not the same.
-    """
-    matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(1.0))
-    source, target = (
-        np.ascontiguousarray(p / resolution, np.float32) for p in (points_j, points_i)
-    )
-    matcher.match(source, target)
-    found_j, found_i = (
-        resolution * np.asarray(points, np.float64).reshape(-1, 3)
-        for points in matcher.get_keypoints_from_initial_matching()
-    )
-    return found_i, found_j
-
-
 def _distance(T_i_j: Floats, p_i: Floats, p_j: Floats) -> Floats:
     return np.linalg.norm(transform(T_i_j, p_j) - p_i, axis=1)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pose_server.geometry import robust
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.icp import SurfaceFit, gicp
-from pose_server.geometry.matching import NO_MATCHES
+from pose_server.geometry.matching import NO_MATCHES, ratio_matches
 from pose_server.geometry.refine import NoiseScale, Refinement
 from pose_server.geometry.se3 import transform, weighted_mean
 from pose_server.geometry.triangles import poses_by_triangles
@@ -24,7 +24,6 @@ _LEAST_MATCHES, _LEAST_AGREEING = 6, 5
 _NEARLY = 0.6
 _FEW = 0.2
 _AS_GOOD, _ALIKE = 0.94, 0.15  # of the best score; share of the depth
-_SHAPE_RESOLUTION = 0.02  # share of the depth
 _ROUGH_RADIUS, _ROUGH_ITERATIONS = 0.08, 10  # of ICP from a coarse start; share of the depth
 _ROUGH_SIGMA = 0.01  # of what comes of it
 _SHAPE_SIGMA = 0.01  # of where a shape is, share of its depth
@@ -136,18 +135,16 @@ def from_surfaces(pair: Pair) -> list[Candidate]:
     Matches by shape join those by descriptor; all their poses go through a rough ICP, and the ones
     at which the surfaces agree best are looked at again.
     """
-    by_shape_i, by_shape_j = robust.matches_by_shape(
-        pair.i.measured.points, pair.j.measured.points, _SHAPE_RESOLUTION * pair.depth_m
-    )
-    views = [
-        view.observed.with_points(points, _SHAPE_SIGMA)
-        for view, points in ((pair.i, by_shape_i), (pair.j, by_shape_j))
-    ]
-    new = np.arange(len(by_shape_i))
+    shapes_i, shapes_j = (view.measured.shapes(pair.depth_m) for view in (pair.i, pair.j))
+    alike, _ = ratio_matches(shapes_i.descriptors, shapes_j.descriptors, 1.0)
     first = [len(view.observed.uv) for view in (pair.i, pair.j)]
-    matches = np.concatenate((np.column_stack((first[0] + new, first[1] + new)), pair.ratio))
+    views = [
+        view.observed.with_points(shapes.points, _SHAPE_SIGMA)
+        for view, shapes in ((pair.i, shapes_i), (pair.j, shapes_j))
+    ]
+    matches = np.concatenate((alike + first, pair.ratio))
     found = []
-    for T, _ in poses_by_triangles(*views, matches, pair.depth_m):
+    for T, _ in poses_by_triangles(views[0], views[1], matches, pair.depth_m):
         rough = gicp(
             pair.i.measured.for_rough_icp,
             pair.j.measured.for_rough_icp,

@@ -2,7 +2,7 @@
 needed.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from pose_server.geometry.evidence import Surface
 from pose_server.geometry.icp import DenseCloud, dense_cloud
 from pose_server.geometry.noise import PointNoise
 from pose_server.geometry.observed import Observed
+from pose_server.geometry.shapes import Shapes, shapes_of
 from protocol.clouds import decode_salient, points_of, strongest
 from protocol.errors import CodecError
 from protocol.messages import NoiseModel, Salient, View, ViewName
@@ -24,15 +25,19 @@ _CLOUD_POINTS = 20_000  # of a dense cloud, used for its surface and for ICP
 _SAMPLE_POINTS = 1_000
 _MATCHED_POINTS = 8_000  # salient points, at most: matching takes memory by their square
 _COARSER = 1.4
+_SHAPE_RESOLUTION = 0.022  # share of the depth
 _ICP_PIXELS = 18.0  # lateral resolution of ICP, in pixels at the median depth
 
 
 @dataclass(frozen=True)
 class MeasuredCloud:
-    """Points (N, 3) of a view's cloud, metres, prepared for ICP when first needed."""
+    """Points (N, 3) of a view's cloud, metres, prepared for what compares clouds when first
+    needed.
+    """
 
     points: Floats
     resolution_m: float
+    _shapes: dict[float, Shapes] = field(default_factory=dict)
 
     @cached_property
     def for_icp(self) -> DenseCloud:
@@ -43,6 +48,15 @@ class MeasuredCloud:
     def for_rough_icp(self) -> DenseCloud:
         """The same, coarser."""
         return dense_cloud(self.points, _COARSER * self.resolution_m)
+
+    def shapes(self, depth_m: float) -> Shapes:
+        """Of its most telling points, at a resolution that suits a scene of that depth: the same
+        for all depths that are alike, so that it is seldom done anew.
+        """
+        resolution_m = _SHAPE_RESOLUTION * 2 ** (0.5 * round(2 * np.log2(depth_m)))
+        if resolution_m not in self._shapes:
+            self._shapes[resolution_m] = shapes_of(self.points, resolution_m)
+        return self._shapes[resolution_m]
 
 
 @dataclass(frozen=True)
