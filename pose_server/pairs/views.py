@@ -25,7 +25,7 @@ _CLOUD_POINTS = 20_000  # of a dense cloud, used for its surface and for ICP
 _SAMPLE_POINTS = 1_000
 _MATCHED_POINTS = 8_000  # salient points, at most: matching takes memory by their square
 _COARSER = 1.4
-_SHAPE_RESOLUTION = 0.022  # share of the depth
+_SHAPE_RESOLUTION = 0.025  # share of the depth
 _ICP_PIXELS = 18.0  # lateral resolution of ICP, in pixels at the median depth
 
 
