@@ -14,6 +14,7 @@ from pose_server.geometry.matching import NO_MATCHES, ratio_matches
 from pose_server.geometry.refine import NoiseScale, Refinement
 from pose_server.geometry.se3 import transform, weighted_mean
 from pose_server.geometry.triangles import poses_by_triangles
+from pose_server.pairs.judging import COVARIANCE_INFLATION
 from pose_server.pairs.pair import Pair
 
 Floats = npt.NDArray[np.floating]
@@ -201,7 +202,8 @@ def with_surfaces(pair: Pair, one: Candidate) -> Candidate:
     if float(np.linalg.norm(fit.T_i_j[:3, 3] - one.T_i_j[:3, 3])) > _FAR * pair.depth_m:
         return one
     surfaces = fit.hessian / (pair.sigma * pair.depth_m) ** 2
-    T = weighted_mean(one.T_i_j, one.information, fit.T_i_j, surfaces)
+    matches = one.information / COVARIANCE_INFLATION
+    T = weighted_mean(one.T_i_j, matches, fit.T_i_j, surfaces)
     return replace(one, T_i_j=T, T_by_matches=one.T_i_j)
 
 
