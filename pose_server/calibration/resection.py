@@ -13,7 +13,7 @@ from pose_server.geometry.se3 import transform
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
-_TRIANGLES = 150  # of three matches; with a third of them right, five are right as a whole
+_TRIANGLES = 150  # of three matches of the more similar half, of which more are right
 _NEAR_PX_PER_FOCAL = 0.006  # what counts as the same pixel, as a share of the focal length
 _LARGEST_ANGLE = 0.9999  # cosine of two rays that are too close to tell
 
@@ -38,7 +38,7 @@ def resection(
     rays = np.column_stack((uv, np.ones(len(uv)))) @ np.linalg.inv(target.K).T
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     rng = np.random.default_rng(len(matches))
-    drawn = rng.integers(0, len(matches), (_TRIANGLES, 3))
+    drawn = rng.integers(0, max(len(matches) // 2, 6), (_TRIANGLES, 3))
     R, t = three_point_poses(points[drawn], rays[drawn])
     if len(R) == 0:
         return None

@@ -2,10 +2,10 @@
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
 
 from pose_server.geometry.consensus import consensus
 from pose_server.geometry.errors import DegenerateGeometryError
+from pose_server.geometry.noise import chi2_limit
 from pose_server.geometry.point_pairs import PointPairs
 
 Floats = npt.NDArray[np.floating]
@@ -20,7 +20,7 @@ def pose_from_clicks(pairs: PointPairs, inlier_probability: float) -> tuple[Floa
         DegenerateGeometryError: fewer than three, on a line, contradictory, or too weak to give an
             orientation.
     """
-    agreed = consensus(pairs, float(chi2.ppf(inlier_probability, 3)))
+    agreed = consensus(pairs, chi2_limit(1 - inlier_probability, 3))
     if agreed.contradiction:
         raise DegenerateGeometryError(agreed.contradiction)
     sigma = float(np.sqrt(max(np.linalg.eigvalsh(agreed.covariance[:3, :3])[-1], 0.0)))

@@ -13,13 +13,13 @@ from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
 
 from pose_server.fleet.clicks import pose_from_clicks
 from pose_server.fleet.forest import Forest
 from pose_server.fleet.links import PLAUSIBLE, Link, link
 from pose_server.fleet.types import ClickFactor, SolveSettings
 from pose_server.geometry.errors import DegenerateGeometryError
+from pose_server.geometry.noise import chi2_limit
 from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.se3 import (
     compose_covariance,
@@ -139,7 +139,7 @@ class _Agreement:
             return False
         xi = np.concatenate((log_so3(T[:3, :3]), T[:3, 3]))
         distance2 = float(xi @ np.linalg.solve(covariance, xi))
-        return distance2 < float(chi2.ppf(self.settings.inlier_probability, 6))
+        return distance2 < chi2_limit(1 - self.settings.inlier_probability, 6)
 
 
 def _join_by_agreement(agreement: _Agreement, doubtful: Sequence[Link]) -> bool:

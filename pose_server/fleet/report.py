@@ -4,7 +4,6 @@ from collections.abc import Iterable
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2
 
 from pose_server.fleet import factors as gt
 from pose_server.fleet.layout import FleetInput, Layout
@@ -18,6 +17,7 @@ from pose_server.fleet.types import (
     FleetSolution,
     NodePose,
 )
+from pose_server.geometry.noise import chi2_limit
 from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.se3 import inverse, transform
 from protocol.messages import ViewName
@@ -92,7 +92,7 @@ def _edges(
 
 
 def _clicks(state: FleetInput, layout: Layout, found: Found) -> dict[int, ClickJudgement]:
-    limit = float(chi2.ppf(state.settings.inlier_probability, 3))
+    limit = chi2_limit(1 - state.settings.inlier_probability, 3)
     used = {click.id for _, _, click in found.clicks}
     judgements = {}
     for a, b, click in state.clicks:

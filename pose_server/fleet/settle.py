@@ -12,13 +12,13 @@ from functools import cached_property
 import gtsam
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
 
 from pose_server.fleet import factors as gt
 from pose_server.fleet.forest import Forest, Reached, Sets, without_bridges
 from pose_server.fleet.layout import FleetInput, Layout
 from pose_server.fleet.links import Link
 from pose_server.fleet.types import ClickFactor
+from pose_server.geometry.noise import chi2_limit
 
 Floats = npt.NDArray[np.floating]
 Bools = npt.NDArray[np.bool_]
@@ -137,7 +137,7 @@ class _Problem:
         ]
         self._start = gt.values_of(layout.start, self._clicks)
         self._n = len(state.nodes)
-        self._limit = float(chi2.ppf(state.settings.inlier_probability, 6))
+        self._limit = chi2_limit(1 - state.settings.inlier_probability, 6)
 
     def solve(self, out: Bools) -> Fit:
         """Least squares without the outliers; those that then fit come back."""

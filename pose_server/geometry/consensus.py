@@ -13,10 +13,10 @@ from math import comb
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
 
 from pose_server.geometry.dlt import rigid_unchecked, scale_between
 from pose_server.geometry.errors import DegenerateGeometryError
+from pose_server.geometry.noise import chi2_limit
 from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.spread import check_points, dimension, need_dimension
 
@@ -106,7 +106,7 @@ def _best_explanation(pairs: PointPairs, price: float) -> tuple[Floats, Floats, 
 def _contradiction(distance2: Floats) -> str:
     """Whether the residuals of the pose's own points are too large by chance."""
     dof, total = 3 * len(distance2) - 6, float(distance2.sum())
-    limit = float(chi2.isf(_CONTRADICTION, dof))
+    limit = chi2_limit(_CONTRADICTION, dof)
     if total <= limit:
         return ""
     return (

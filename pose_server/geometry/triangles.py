@@ -46,6 +46,8 @@ def poses_by_triangles(
         depth_m: of the scene.
     """
     matches = matches[:MOST_MATCHES]
+    if len(matches) < 3:
+        return []
     at_i, at_j = matches.T
     p_i, p_j = (np.ascontiguousarray(v.points[at]) for v, at in ((i, at_i), (j, at_j)))
     sigmas = [v.inverse_depth_sigma[at] / v.inverse_depth[at] for v, at in ((i, at_i), (j, at_j))]
