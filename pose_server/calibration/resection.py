@@ -13,7 +13,7 @@ from pose_server.geometry.se3 import transform
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
-_TRIANGLES = 150  # of three matches of the more similar half, of which more are right
+_TRIANGLES = 200  # of three matches; with a third of them right, seven are right as a whole
 _NEAR_PX_PER_FOCAL = 0.006  # what counts as the same pixel, as a share of the focal length
 _LARGEST_ANGLE = 0.9999  # cosine of two rays that are too close to tell
 
@@ -26,7 +26,8 @@ def resection(
 
     Args:
         source, target: salient points.
-        matches: (M, 2) of source and target indices; the source's points have a depth.
+        matches: (M, 2) of source and target indices, the most similar first; the source's points
+            have a depth.
 
     Returns:
         The pose (4, 4) that most matches agree with, and which these are (M,); None without any.
@@ -38,7 +39,9 @@ def resection(
     rays = np.column_stack((uv, np.ones(len(uv)))) @ np.linalg.inv(target.K).T
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     rng = np.random.default_rng(len(matches))
-    drawn = rng.integers(0, max(len(matches) // 2, 6), (_TRIANGLES, 3))
+    among = np.full((_TRIANGLES, 3), len(matches))
+    among[::2] = max(len(matches) // 2, 6)  # of the more similar half more are right
+    drawn = rng.integers(0, among)
     R, t = three_point_poses(points[drawn], rays[drawn])
     if len(R) == 0:
         return None

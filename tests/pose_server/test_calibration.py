@@ -61,12 +61,12 @@ def test_pixels_find_the_pose_without_the_depths_of_the_target():
     rng = np.random.default_rng(1)
     i, j = observed_pair(rng, T_I_J, COUNT)
     matches = MATCHES.copy()
-    matches[: COUNT // 2, 0] = rng.permutation(matches[: COUNT // 2, 0])
+    matches[::2, 0] = rng.permutation(matches[::2, 0])  # alike many of the more similar ones
     found = resection(j, scaled(i, 3.0), matches[:, ::-1])
     assert found is not None
     T, agrees = found
     assert rotation_angle(T[:3, :3].T @ T_I_J[:3, :3]) < 0.03
-    assert agrees[COUNT // 2 :].mean() > 0.5 and agrees[: COUNT // 2].mean() < 0.1
+    assert agrees[1::2].mean() > 0.5 and agrees[::2].mean() < 0.1
 
 
 @settings(max_examples=15, deadline=None)
