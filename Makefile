@@ -14,7 +14,7 @@ setup: $(READY) ## Makes the environment in .venv.
 $(READY): pyproject.toml constraints.txt scripts/venv.sh
 	@PYTHON="$(PYTHON)" sh scripts/venv.sh "$(VENV)"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
-	@$(BIN)/python -c 'import pose_server.geometry.kernels'
+	@$(BIN)/python -c 'import pose_server.pairs.align'
 	@touch $@
 
 demo: $(READY) ## Six robots around a building find each other; q ends it.
