@@ -79,10 +79,11 @@ def _against(e: Evidence) -> tuple[str, ...]:
 def _doubts(e: Evidence) -> tuple[str, ...]:
     """What keeps a pose from being verified."""
     allowed_px = 1.5 * e.pixel_sigma_px
+    needed = 10 + e.ratio_matches // 100  # of more wrong ones more agree with some pose by chance
     off = 3 * e.position_sigma + e.shift + e.pulled
     return _said(
         (e.inliers < 14, f"{e.inliers} matches agree, need 14"),
-        (e.ratio_inliers < 10, f"{e.ratio_inliers} unguided matches agree, need 10"),
+        (e.ratio_inliers < needed, f"{e.ratio_inliers} unguided matches agree, need {needed}"),
         (
             off > _VERIFIED_POSITION,
             f"three sigma of the position, and what a refit and surfaces move it, are {off:.1%} "

@@ -82,6 +82,7 @@ def test_a_shifted_pose_is_seen_through_or_disagrees():
     [
         {"inliers": 12},
         {"ratio_inliers": 9},
+        {"ratio_inliers": 14, "ratio_matches": 500},
         {"position_sigma": 0.02},
         {"rotation_sigma_rad": 0.05},
         {"across_px": 1.5},
