@@ -112,11 +112,13 @@ def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
 
 def next_job(site: Site, now_s: float) -> Job | None:
     """What to align next: what an operator clicked and looks at, then the robots' own motion, then
-    the pair whose turn it is. A flood of clicks leaves every other turn to the robots.
+    the pair whose turn it is. A flood of clicks leaves every other turn to the robots: after a
+    restart all pairs ever clicked are due, and the robots want to know where they are.
     """
-    if site.click_had_turn and (job := track_job(site)) is not None:
+    if site.click_had_turn:
         site.click_had_turn = False
-        return job
+        if (job := track_job(site) or _pair_job(site, now_s, joining=True)) is not None:
+            return job
     if (job := _click_job(site) or back_job(site)) is not None:
         site.click_had_turn = True
         return job
