@@ -22,14 +22,15 @@ Indices = npt.NDArray[np.int64]
 
 _ENOUGH_MATCHES = 300  # to find a pose; all are used to judge it
 _LEAST_MATCHES, _LEAST_AGREEING = 6, 5
-_NEARLY = 0.6
-_FEW = 0.2
+_NEARLY = 0.6  # as many as agree on the best pose: another is looked at too
+_FEW = 0.2  # of all matches: so few may be chance
 _AS_GOOD, _ALIKE = 0.94, 0.15  # of the best score; share of the depth
 _ROUGH_RADIUS, _ROUGH_ITERATIONS = 0.08, 10  # of ICP from a coarse start; share of the depth
 _ROUGH_SIGMA = 0.01  # of what comes of it
 _SHAPE_SIGMA = 0.01  # of where a shape is, share of its depth
 _SURFACE_POSES = 2
 _FINE_RADIUS_PX = 30.0  # of ICP from a pose that matches agree on, at the median depth
+_LEAST_SIGMA = 1e-3  # of a surface, share of the depth: no camera is better
 _FAR = 0.04  # share of the depth: surfaces that lead so far away are others
 # The image is trusted first. Where depths are worse than stated, a fit that may widen the pixel
 # noise settles between both; with loose depths it finds the pixels' pose, and then the noise.
@@ -199,9 +200,10 @@ def with_surfaces(pair: Pair, one: Candidate) -> Candidate:
     if one.information is None or not (pair.i.dense and pair.j.dense):
         return one
     fit = _icp(pair, one.T_i_j, _FINE_RADIUS_PX * pair.depth_m / pair.i.observed.focal_px)
-    if float(np.linalg.norm(fit.T_i_j[:3, 3] - one.T_i_j[:3, 3])) > _FAR * pair.depth_m:
+    apart_m = float(np.linalg.norm(fit.T_i_j[:3, 3] - one.T_i_j[:3, 3]))
+    if not (apart_m < _FAR * pair.depth_m and np.isfinite(fit.hessian).all()):
         return one
-    surfaces = fit.hessian / (pair.sigma * pair.depth_m) ** 2
+    surfaces = fit.hessian / (max(pair.sigma, _LEAST_SIGMA) * pair.depth_m) ** 2
     matches = one.information / COVARIANCE_INFLATION
     T = weighted_mean(one.T_i_j, matches, fit.T_i_j, surfaces)
     return replace(one, T_i_j=T, T_by_matches=one.T_i_j)
