@@ -94,7 +94,7 @@ def align_wide(
     result = _judge_best(pair, candidates) if candidates else usual
     if result.verdict == "rejected" and i.dense and j.dense:
         candidates += from_surfaces(pair)
-        result = _judge_best(pair, candidates)
+        result = _judge_best(pair, candidates) if candidates else usual
     result = _finished(pair, candidates, result)
     timings = {**usual.timings_ms, "wide": 1e3 * (time.perf_counter() - began)}
     return replace(result, timings_ms=timings, depths=usual.depths, moving=usual.moving)

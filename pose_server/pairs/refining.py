@@ -199,7 +199,7 @@ def with_surfaces(pair: Pair, one: Candidate) -> Candidate:
     """
     if one.information is None or not (pair.i.dense and pair.j.dense):
         return one
-    fit = _icp(pair, one.T_i_j, _FINE_RADIUS_PX * pair.depth_m / pair.i.observed.focal_px)
+    fit = _fine_icp(pair, one.T_i_j)
     apart_m = float(np.linalg.norm(fit.T_i_j[:3, 3] - one.T_i_j[:3, 3]))
     if not (apart_m < _FAR * pair.depth_m and np.isfinite(fit.hessian).all()):
         return one
@@ -211,13 +211,13 @@ def with_surfaces(pair: Pair, one: Candidate) -> Candidate:
 
 def with_icp(pair: Pair, one: Candidate) -> Candidate:
     """A candidate after ICP; itself if that scores worse."""
-    fit = _icp(pair, one.T_i_j, _FINE_RADIUS_PX * pair.depth_m / pair.i.observed.focal_px)
-    other = Candidate(pair, one.start, fit.T_i_j)
+    other = Candidate(pair, one.start, _fine_icp(pair, one.T_i_j).T_i_j)
     return other if other.score > one.score else one
 
 
-def _icp(pair: Pair, T: Floats, radius_m: float, iterations: int = 20) -> SurfaceFit:
-    return gicp(pair.i.measured.for_icp, pair.j.measured.for_icp, T, radius_m, iterations)
+def _fine_icp(pair: Pair, T: Floats) -> SurfaceFit:
+    radius_m = _FINE_RADIUS_PX * pair.depth_m / pair.i.observed.focal_px
+    return gicp(pair.i.measured.for_icp, pair.j.measured.for_icp, T, radius_m)
 
 
 def _guided(

@@ -2,6 +2,8 @@
 surfaces know something.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,9 @@ from pose_server.geometry.icp import dense_cloud, gicp
 from pose_server.geometry.matching import ratio_matches
 from pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform, weighted_mean
 from pose_server.geometry.shapes import shapes_of
+from pose_server.pairs.align import align_pair, align_wide
+from pose_server.pairs.views import MeasuredCloud, prepare_view
+from tests.pose_server.scene import pair_of_views
 
 
 def wall_with_roofs(rng, count=60_000):
@@ -100,3 +105,26 @@ def test_surfaces_say_which_way_they_can_slide():
     known = np.diag(fit.hessian)
     assert known[5] > 20 * max(known[3], known[4])  # z against x and y
     assert min(known[0], known[1]) > 20 * known[2]  # tilts against the turn about z
+
+
+def test_dense_clouds_without_any_shape_or_match_are_rejected_with_a_reason():
+    """Both clouds lie on one spot and no salient point looks alike: nothing is left to try."""
+    views = []
+    for seed, message in enumerate(pair_of_views(np.random.default_rng(0), turned(10))):
+        view = prepare_view(message)
+        none = np.zeros((0, 128), np.float32)
+        observed = replace(
+            view.observed,
+            uv=np.zeros((0, 2)),
+            inverse_depth=np.zeros(0),
+            inverse_depth_sigma=np.zeros(0),
+        )
+        spot = np.array([0.0, 0.0, 2.0]) + 1e-4 * np.random.default_rng(seed).normal(
+            size=(12_000, 3)
+        )
+        measured = MeasuredCloud(spot, view.measured.resolution_m)
+        views.append(replace(view, observed=observed, descriptors=none, measured=measured))
+    i, j = views
+    assert i.dense and j.dense
+    result = align_wide(i, j, align_pair(i, j))
+    assert result.verdict == "rejected" and result.reasons
