@@ -12,7 +12,7 @@ from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.icp import SurfaceFit, gicp
 from pose_server.geometry.matching import NO_MATCHES, ratio_matches
 from pose_server.geometry.refine import NoiseScale, Refinement
-from pose_server.geometry.se3 import transform, weighted_mean
+from pose_server.geometry.se3 import rotation_angle, transform, weighted_mean
 from pose_server.geometry.triangles import poses_by_triangles
 from pose_server.pairs.judging import COVARIANCE_INFLATION
 from pose_server.pairs.pair import Pair
@@ -31,7 +31,7 @@ _SHAPE_SIGMA = 0.01  # of where a shape is, share of its depth
 _SURFACE_POSES = 2
 _FINE_RADIUS_PX = 30.0  # of ICP from a pose that matches agree on, at the median depth
 _LEAST_SIGMA = 1e-3  # of a surface, share of the depth: no camera is better
-_FAR = 0.04  # share of the depth: surfaces that lead so far away are others
+_FAR = 0.04  # share of the depth, and radians: surfaces that lead so far away are others
 # The image is trusted first. Where depths are worse than stated, a fit that may widen the pixel
 # noise settles between both; with loose depths it finds the pixels' pose, and then the noise.
 _START_NOISE = NoiseScale(1.0, 4.0)
@@ -200,8 +200,9 @@ def with_surfaces(pair: Pair, one: Candidate) -> Candidate:
     if one.information is None or not (pair.i.dense and pair.j.dense):
         return one
     fit = _fine_icp(pair, one.T_i_j)
-    apart_m = float(np.linalg.norm(fit.T_i_j[:3, 3] - one.T_i_j[:3, 3]))
-    if not (apart_m < _FAR * pair.depth_m and np.isfinite(fit.hessian).all()):
+    shift = float(np.linalg.norm(fit.T_i_j[:3, 3] - one.T_i_j[:3, 3])) / pair.depth_m
+    turn_rad = rotation_angle(fit.T_i_j[:3, :3].T @ one.T_i_j[:3, :3])
+    if not (max(shift, turn_rad) < _FAR and np.isfinite(fit.hessian).all()):
         return one
     surfaces = fit.hessian / (max(pair.sigma, _LEAST_SIGMA) * pair.depth_m) ** 2
     matches = one.information / COVARIANCE_INFLATION
