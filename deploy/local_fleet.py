@@ -5,16 +5,17 @@ Every child is `sys.executable -P -m <package>` in a process group of its own, w
 """
 
 import ctypes
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import Self
+from typing import Any, Self
 
 from protocol.errors import FleetPoseError, UnreachableError
 from protocol.transport import free_port, wait_until
@@ -38,6 +39,7 @@ class _Child:
     log: Path
     process: subprocess.Popen[bytes]
     nice: int = 0
+    json_lines: Path | None = None
     told_to_end: bool = False
 
 
@@ -76,12 +78,28 @@ class LocalFleet:
         for signum, handler in self._handlers.items():
             signal.signal(signum, handler)  # pyright: ignore[reportArgumentType]
 
-    def start(self, name: str, module: str, *arguments: str, nice: int = 0) -> int:
-        """Starts `python -P -m module arguments` under a name; returns its process id."""
+    def start(
+        self, name: str, module: str, *arguments: str, nice: int = 0, json_lines: bool = False
+    ) -> int:
+        """Starts `python -P -m module arguments` under a name; returns its process id.
+
+        With `json_lines` its standard output goes to `<directory>/<name>.jsonl`, for `told`: in
+        one file with the log, a line of one could end up within a line of the other.
+        """
         command = [sys.executable, "-P", "-m", module, *arguments]
         log = self.directory / f"{name}.log"
-        self._children[name] = _Child(command, log, self._spawn(command, log, nice), nice)
-        return self._children[name].process.pid
+        output = self.directory / f"{name}.jsonl" if json_lines else None
+        process = self._spawn(command, log, output, nice)
+        self._children[name] = _Child(command, log, process, nice, output)
+        return process.pid
+
+    def told(self, name: str) -> list[dict[str, Any]]:
+        """What a process started with `json_lines` has written so far, whole lines only."""
+        path = self._children[name].json_lines
+        if path is None:
+            raise ValueError(f"{name} was started without json_lines")
+        whole, _, _ = path.read_text(errors="replace").rpartition("\n")
+        return [json.loads(line) for line in whole.splitlines() if line]
 
     def start_router(self) -> None:
         """Starts the router and waits until it accepts connections.
@@ -145,12 +163,8 @@ class LocalFleet:
         """Ends one process if it still runs and starts it again as before; its log goes on."""
         self.stop(name)
         child = self._children[name]
-        self._children[name] = _Child(
-            child.command,
-            child.log,
-            self._spawn(child.command, child.log, child.nice),
-            child.nice,
-        )
+        process = self._spawn(child.command, child.log, child.json_lines, child.nice)
+        self._children[name] = replace(child, process=process, told_to_end=False)
 
     def exited(self) -> dict[str, str]:
         """Names of the processes that ended unasked, with the last lines of their logs."""
@@ -180,16 +194,18 @@ class LocalFleet:
         """How many processes of this fleet still run, children of children included."""
         return len(_members(self._groups))
 
-    def _spawn(self, command: Sequence[str], log: Path, nice: int) -> subprocess.Popen[bytes]:
+    def _spawn(
+        self, command: Sequence[str], log: Path, json_lines: Path | None, nice: int
+    ) -> subprocess.Popen[bytes]:
         one_thread = {
             f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "NUMEXPR")
         }
-        with log.open("ab") as output:
+        with log.open("ab") as errors, (json_lines or log).open("ab") as output:
             process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=output,
-                stderr=subprocess.STDOUT,
+                stderr=errors,
                 env={**os.environ, **one_thread, "PYTHONUNBUFFERED": "1"},
                 process_group=0,
                 preexec_fn=_end_with(os.getpid(), nice),

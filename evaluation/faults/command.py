@@ -32,7 +32,7 @@ def run(kills: int, freeze_s: float, late_clicks: int, out: Path, seed: int = 0)
     if not scenarios:
         raise FleetPoseError("nothing to do: give --kills, --freeze or --late-clicks")
     logs = output_folder(out) / "logs"
-    for old in logs.glob("*/*.log"):
+    for old in (*logs.glob("*/*.log"), *logs.glob("*/*.jsonl")):
         old.unlink()
     summary: dict[str, Any] = {}
     with progress_bar() as progress:

@@ -1,6 +1,5 @@
 """One operator's client is frozen: what the others see meanwhile, and how it comes back."""
 
-import json
 import os
 import signal
 import threading
@@ -83,7 +82,8 @@ def run(seconds: float, scratch: Path, logs: Path, progress: Callable[[], None])
     with replayed_fleet(ROBOTS, scratch, logs) as (fleet, plan, _, observer):
         pair = clickable_pairs(fleet, plan, observer)[0]
         module = "evaluation.faults.desk"
-        fleet.start(_READER, module, "op-frozen", fleet.endpoint, fleet.site, *pair)
+        where = ("op-frozen", fleet.endpoint, fleet.site)
+        fleet.start(_READER, module, *where, *pair, json_lines=True)
         with operator("op-awake", fleet.endpoint, fleet.site, pair) as session:
             arrivals = Arrivals(session, pair)
             if not wait_running(fleet, lambda: _warm(fleet, session, pair), WARM_WITHIN_S):
@@ -110,7 +110,7 @@ def run(seconds: float, scratch: Path, logs: Path, progress: Callable[[], None])
 def _warm(fleet: LocalFleet, session: OperatorSession, pair: Pair) -> bool:
     """Whether both clients show both pictures."""
     mine = all(session.picture(robot) is not None for robot in pair)
-    return mine and any(None not in line["pictures"] for line in _lines(fleet))
+    return mine and any(None not in line["pictures"] for line in fleet.told(_READER))
 
 
 def _pass(seconds: float, progress: Callable[[], None]) -> float:
@@ -128,18 +128,13 @@ def _back(fleet: LocalFleet, newest: int, thawed_s: float) -> float:
     def shown() -> list[float]:
         return [
             line["at_s"]
-            for line in _lines(fleet)
+            for line in fleet.told(_READER)
             if line["at_s"] >= thawed_s and line["state"] >= newest
         ]
 
     if not wait_running(fleet, lambda: bool(shown()), BACK_WITHIN_S):
         raise FleetPoseError(f"the frozen client is not back; logs: {fleet.directory}")
     return min(shown()) - thawed_s
-
-
-def _lines(fleet: LocalFleet) -> list[dict[str, Any]]:
-    text = (fleet.directory / f"{_READER}.log").read_text()
-    return [json.loads(line) for line in text.splitlines() if line.startswith("{")]
 
 
 def _longest_gap(times: list[float], from_s: float, to_s: float) -> float:

@@ -5,7 +5,6 @@ once, by each of its readers, and nothing else may happen.
 """
 
 import itertools
-import json
 import random
 import re
 import tempfile
@@ -68,7 +67,7 @@ class Counts:
         drops = self._observer.statuses[-1][1].drops
         found = Counter(
             server=sum(n for reason, n in drops.items() if reason not in _NOT_BAD),
-            client=_client_total(self._fleet.directory / "client.log"),
+            client=_client_total(self._fleet.told("client")),
         )
         for name in self._plan.names:
             totals = _TOTAL.findall(_log(self._fleet, name))
@@ -90,7 +89,7 @@ def run(messages: int, out: Path, seed: int = 0) -> dict[str, Any]:
     if messages < 1:
         raise FleetPoseError(f"--messages {messages}: give 1 or more")
     logs = output_folder(out) / "logs"
-    for old in logs.glob("*.log"):
+    for old in (*logs.glob("*.log"), *logs.glob("*.jsonl")):
         old.unlink()
     with tempfile.TemporaryDirectory(prefix="fleetpose-") as scratch, LocalFleet(logs) as fleet:
         summary = _fuzz(fleet, Path(scratch), messages, random.Random(seed))
@@ -129,7 +128,7 @@ def _fuzz(fleet: LocalFleet, scratch: Path, messages: int, chance: random.Random
         _click(fleet, plan, observer, link, keys)
         robots = (plan.names[0], plan.names[1])
         where = (fleet.endpoint, fleet.site, OPERATOR, *robots)
-        fleet.start("client", "evaluation.fuzz.watching", *where)
+        fleet.start("client", "evaluation.fuzz.watching", *where, json_lines=True)
         told = _settled(fleet, observer, link, keys, scratch, ear, robots)
         targets = targets_of(keys, list(plan.names), ear.heard())
         journal = scratch / "state" / "journal.sqlite3"
@@ -287,12 +286,9 @@ def _wait_counted(fleet: LocalFleet, sent: Sent, counts: Counts) -> None:
     )
 
 
-def _client_total(log: Path) -> int:
-    total = 0
-    for line in log.read_text(errors="replace").splitlines() if log.exists() else ():
-        if line.startswith("{") and '"drops"' in line:
-            total = json.loads(line).get("total", total)
-    return total
+def _client_total(lines: list[dict[str, Any]]) -> int:
+    totals = [line["total"] for line in lines if line.get("type") == "drops"]
+    return totals[-1] if totals else 0
 
 
 def _log(fleet: LocalFleet, name: str) -> str:

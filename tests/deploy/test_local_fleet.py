@@ -71,6 +71,22 @@ def test_a_child_has_a_group_of_its_own_and_one_thread_per_library(tmp_path, mod
         assert fleet.tail("a") == f"{pid} 1"
 
 
+def test_what_a_child_tells_in_json_is_kept_apart_from_its_log(tmp_path, module):
+    source = """
+import sys
+for n in range(3):
+    sys.stdout.write('{"n": %d}' % n)
+    sys.stderr.write("a line of the log ")
+    sys.stdout.write("\\n")
+sys.stdout.write('{"n": ')
+"""
+    with LocalFleet(tmp_path / "logs") as fleet:
+        fleet.start("a", module("tells", source), json_lines=True)
+        assert wait_until(lambda: "a" in fleet.exited(), 10)
+        assert fleet.told("a") == [{"n": 0}, {"n": 1}, {"n": 2}]
+        assert fleet.tail("a") == "a line of the log " * 3
+
+
 def test_children_that_ignore_sigterm_and_their_children_are_killed(tmp_path, module, monkeypatch):
     monkeypatch.setattr("deploy.local_fleet.GRACE_S", 0.5)
     with LocalFleet(tmp_path / "logs") as fleet:
