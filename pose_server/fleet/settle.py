@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pose_server.fleet import factors as gt
 from pose_server.fleet.forest import Forest, Reached, Sets, without_bridges
 from pose_server.fleet.layout import FleetInput, Layout
-from pose_server.fleet.links import Link
+from pose_server.fleet.links import CONTESTED, VERIFIED, Link
 from pose_server.fleet.types import ClickFactor
 from pose_server.geometry.noise import chi2_limit
 
@@ -158,18 +158,32 @@ class _Problem:
         return gt.distances2(self._factors, self._start) > self._limit
 
     def judged(self) -> Bools:
-        """Outliers by graduated non-convexity over all links."""
+        """Outliers by graduated non-convexity: the verified links among themselves, then the
+        others against what these hold together. Aliases of a repeated structure agree with each
+        other, so a majority of plausible links proves nothing against a verified one.
+        """
+        verified = np.array([link.rank >= VERIFIED for link in self.links], bool)
+        trusted = self._agreeing(verified, self._certain)
+        return ~self._agreeing(trusted | ~verified, trusted) & ~self._certain
+
+    def _agreeing(self, asked: Bools, known: Bools) -> Bools:
+        """(M,) which of the asked links belong together; the known ones are not in question."""
+        numbers = np.nonzero(asked)[0]
+        if known[numbers].all():
+            return asked
         sets = Sets(self._n)
-        for link in self.links:
-            sets.join(link.a, link.b)
+        for k in numbers:
+            sets.join(self.links[k].a, self.links[k].b)
         inliers = gt.judge(
-            self._factors,
-            np.nonzero(self._certain)[0].tolist(),
+            [self._factors[k] for k in numbers],
+            np.nonzero(known[numbers])[0].tolist(),
             sorted({sets.find(k) for k in range(self._n)}),
             self._start,
             self._settings.inlier_probability,
         )
-        return ~inliers & ~self._certain
+        agreeing = np.zeros(len(self.links), bool)
+        agreeing[numbers] = inliers | known[numbers]
+        return agreeing
 
     def found(self, fit: Fit, judged: bool, outvoted: int) -> Found:
         return Found(fit, self.links, self._clicks, judged, outvoted)
@@ -197,19 +211,26 @@ def contested_edges(layout: Layout, found: Found) -> frozenset[int]:
 
 
 def _outvotes(layout: Layout, links: list[Link], out: Bools, new: Bools) -> bool:
-    """Whether the new links left out contradict parts that hold without any single link."""
-    sets = _firm(layout, links, out)
-    aside = (link for link, is_out in zip(links, out & new, strict=True) if is_out)
-    return all(sets.find(link.a) == sets.find(link.b) for link in aside)
+    """Whether the new links left out contradict parts that links of no lower rank hold together
+    without any single one.
+    """
+    aside = [link for link, is_out in zip(links, out & new, strict=True) if is_out]
+    firm = {rank: _firm(layout, links, out, rank) for rank in {link.rank for link in aside}}
+    return all(firm[k.rank].find(k.a) == firm[k.rank].find(k.b) for k in aside)
 
 
-def _firm(layout: Layout, links: list[Link], out: Bools) -> Sets:
-    """Sets of nodes that inliers join in more than one way."""
+def _firm(layout: Layout, links: list[Link], out: Bools, rank: int = CONTESTED) -> Sets:
+    """Sets of nodes that inliers of a rank or a higher one join in more than one way."""
     n = len(layout.root)
     forest = Forest(n)
-    inliers = [link for link, is_out in zip(links, out, strict=True) if not is_out]
+    inliers = [
+        link for link, is_out in zip(links, out, strict=True) if not is_out and link.rank >= rank
+    ]
     by_clicks = [
-        r.link for tree in layout.trees for r in tree if r.link is not None and r.link.edge is None
+        r.link
+        for tree in layout.trees
+        for r in tree
+        if r.link is not None and r.link.edge is None and r.link.rank >= rank
     ]
     chords = [(link.a, link.b) for link in (*by_clicks, *inliers) if not forest.join(link)]
     roots = [k for k in range(n) if forest.component(k) == k]

@@ -93,6 +93,21 @@ def test_majority_that_arrives_later_overturns_an_early_wrong_edge():
     assert position_errors(solution, NODES, TRUTH, 0).max() < 0.1
 
 
+@pytest.mark.parametrize("at_once", [False, True])
+def test_a_majority_of_aliases_that_agree_with_each_other_proves_nothing_against_verified(at_once):
+    rng = np.random.default_rng(4)
+    right = neighbours(rng)
+    turned = [TRUTH[0], *(TRUTH[(k + 3) % 8] for k in range(1, 8))]  # all but one by 135 deg
+    aliases = [
+        edge(NODES, turned, 0, b, rng, verdict="plausible", operator=True) for b in range(2, 7)
+    ]
+    solution = None
+    for k in range(4 if at_once else 0, 5):
+        solution = solve([*right, *aliases[: k + 1]], previous=solution)
+    assert {key for key, j in solution.edges.items() if j.outlier} == {one.key for one in aliases}
+    assert position_errors(solution, NODES, TRUTH, 0).max() < 0.15
+
+
 def test_two_verified_edges_that_contradict_each_other_leave_nothing_verified():
     rng = np.random.default_rng(4)
     edges = [
