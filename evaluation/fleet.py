@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from deploy.local_fleet import LocalFleet, wait_running
+from evaluation import load
 from evaluation.datasets import CloudKind, Recording, TrueView, in_ring_order, open_recording
 from evaluation.fleet_report import FleetResult, write_results
 from evaluation.fleet_scoring import PoseNow, SampleRow, score_sample
@@ -25,6 +26,10 @@ from protocol.transport import Link, SessionSettings, free_port, open_session, w
 FIRST_SAMPLE_S = 20.0
 WORLD_START_S = 60.0
 HELD_RATE_HZ = 0.5  # a robot that stands still sends every other second
+MOST_AGENTS = (
+    16  # beyond, views are encoded beforehand and replayed, so that the server is measured
+)
+LOAD = "load"
 STARTED_WITHIN_S = 120.0
 
 
@@ -46,10 +51,21 @@ class FleetPlan:
     robots: tuple[RobotPlan, ...]
     truth: Truth
     world: tuple[str, ...] = ()  # arguments of the world's process, if there is one
+    frames: int = 1  # of each robot, where they are replayed by one process
 
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(robot.name for robot in self.robots)
+
+    @property
+    def replayed(self) -> bool:
+        """Whether one process replays views that were encoded beforehand, for all robots."""
+        return len(self.robots) > MOST_AGENTS
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """The names of the processes that are the robots."""
+        return (LOAD,) if self.replayed else self.names
 
 
 @dataclass(frozen=True)
@@ -140,11 +156,21 @@ def plan_fleet(options: FleetOptions, scratch: Path) -> FleetPlan:
     return FleetPlan(
         tuple(_replaying(name, folder, replay) for name, folder in folders.items()),
         RecordedTruth(recording, folders),
+        frames=max(len(part) for part in parts),
     )
 
 
 def plan_world(names: Sequence[str], scratch: Path, moving: bool, seed: int) -> FleetPlan:
-    """Robots in the synthetic world, which runs in a process of its own."""
+    """Robots in the synthetic world, which runs in a process of its own.
+
+    Raises:
+        FleetPoseError: too many robots are to walk.
+    """
+    if moving and len(names) > MOST_AGENTS:
+        raise FleetPoseError(
+            f"--moving --robots {len(names)}: beyond {MOST_AGENTS} robots replay what was encoded "
+            "beforehand, so that they cannot walk through the world"
+        )
     listen = f"127.0.0.1:{free_port()}"
     truth_file = scratch / "truth"
     world = ["world", "--robots", str(len(names)), "--listen", listen, "--seed", str(seed)]
@@ -211,6 +237,10 @@ def start(
     fleet.start_server("--workers", str(workers), *skip, state=state)
     if isinstance(plan.truth, WorldTruth):
         _wait_for_world(fleet, plan.truth)
+    if plan.replayed:
+        replayed = load.arguments(plan, HELD_RATE_HZ, plan.frames)
+        fleet.start(LOAD, "evaluation", "load", *fleet.connection, *replayed)
+        return
     for robot in plan.robots:
         rate = ("--rate", str(robot.rate_hz))
         fleet.start_robot(robot.name, robot.camera, robot.data, *rate, *robot.options)
@@ -289,7 +319,7 @@ def _watch(
         for second in range(1, int(seconds) + 1):
             wait_until(lambda end=started_s + second: time.monotonic() >= end, 2.0)
             fleet.check()
-            watch.memory.note(fleet, plan.names)
+            watch.memory.note(fleet, plan.agents)
             if second >= FIRST_SAMPLE_S:
                 anchor = None if observer.state is None else observer.state.anchor
                 now = poses_now(observer, plan.truth)

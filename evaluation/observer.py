@@ -5,6 +5,7 @@ import itertools
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -23,6 +24,8 @@ from protocol.messages import (
     ViewName,
 )
 from protocol.transport import Link, Sample, Slots
+
+KEPT_VIEWS = 60  # of each robot; poses and questions are about these
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,7 @@ class Observer:
         self._lock = threading.Lock()
         self._views: dict[str, SeenView] = {}
         self._views_by_name: dict[str, SeenView] = {}
+        self._names: dict[str, deque[str]] = {}
         self._poses: dict[str, SeenPose] = {}
         self._waiting: dict[str, list[tuple[ViewName, float]]] = {}
         self._alive: set[str] = set()
@@ -120,7 +124,7 @@ class Observer:
             return list(self._views.values())
 
     def view(self, name: ViewName) -> SeenView | None:
-        """A view by its name; all are kept, without their salient points."""
+        """A view by its name; the newest of each robot are kept."""
         with self._lock:
             return self._views_by_name.get(str(name))
 
@@ -191,6 +195,10 @@ class Observer:
         seen = SeenView(view, digest_of(view.cloud), received_s, size)
         self._views[view.name.robot] = seen
         self._views_by_name[str(view.name)] = seen
+        names = self._names.setdefault(view.name.robot, deque())
+        names.append(str(view.name))
+        if len(names) > KEPT_VIEWS:
+            del self._views_by_name[names.popleft()]
         self.view_sizes.append(size)
         self._waiting.setdefault(view.name.robot, []).append((view.name, received_s))
 
