@@ -2,15 +2,18 @@
 comes, and older ones that an operator looks at.
 """
 
+from typing import TypeVar
+
 import numpy as np
 
 from pose_server.fleet.types import Edge
-from pose_server.pairs.candidates import candidate_views, offer_keyframe
+from pose_server.pairs.agenda import note_keyframe
+from pose_server.pairs.candidates import candidate_views
 from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.refining import Start
 from pose_server.pairs.tracking import accepted, moved
-from pose_server.site import Robot, Site
+from pose_server.site import Robot, Site, ViewPair
 from pose_server.views import STILL_PX, KeptView, stands_still
 from protocol.messages import ViewName
 
@@ -110,7 +113,7 @@ def new_keyframe(site: Site, robot: Robot, view: ViewName) -> None:
                 link.keyframe, view, link.T_keyframe_view, link.covariance, link.verdict, "odometry"
             )
         )
-    offer_keyframe(site, view)
+    note_keyframe(site, view)
     site.dirty = True
     if len(robot.track.keyframes) > MAX_KEYFRAMES:
         _drop_keyframe(site, robot)
@@ -204,6 +207,12 @@ def _drop_keyframe(site: Site, robot: Robot) -> None:
         site.unlink(key)
     site.similarities = {v: like for v, like in site.similarities.items() if oldest not in v}
     for record in site.pairs.values():
-        record.untried = {
-            views: like for views, like in record.untried.items() if oldest not in views
-        }
+        record.untried = _without(oldest, record.untried)
+        record.tried = _without(oldest, record.tried)
+
+
+V = TypeVar("V")
+
+
+def _without(view: ViewName, by_views: dict[ViewPair, V]) -> dict[ViewPair, V]:
+    return {views: value for views, value in by_views.items() if view not in views}

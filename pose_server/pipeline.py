@@ -16,7 +16,7 @@ from pose_server.correspondences.book import Outcome
 from pose_server.fleet.graph import solve_fleet
 from pose_server.fleet.types import Edge, SolveSettings
 from pose_server.following import back_job, followed, look_back, newest_arrived, track_job
-from pose_server.pairs.candidates import offer_keyframe, weights
+from pose_server.pairs import agenda
 from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.refining import Start
@@ -25,7 +25,10 @@ from pose_server.site import RobotPair, Site, on_keyframes
 from pose_server.views import KeptView
 from pose_server.widening import note_open, wide_job
 from protocol.errors import CodecError
+from protocol.keys import ordered_pair
 from protocol.messages import OperatorUpdate, Selection, ViewName
+
+_SHARES = {"track": 4.0, "pair": 4.0, "wide": 2.0}  # of the robots' own work
 
 
 def receive_view(site: Site, view: KeptView) -> None:
@@ -117,23 +120,13 @@ def next_job(site: Site, now_s: float) -> Job | None:
     """
     if site.click_had_turn:
         site.click_had_turn = False
-        if (job := track_job(site) or _pair_job(site, now_s, joining=True)) is not None:
+        if (job := _robots_job(site, now_s)) is not None:
             return job
     if (job := _click_job(site) or back_job(site)) is not None:
         site.click_had_turn = True
         return job
     site.click_had_turn = False
-    site.pair_is_due = not site.pair_is_due
-    joining = _pair_job(site, now_s, joining=True) if site.pair_is_due else None
-    site.widening.due = not site.widening.due
-    return (
-        joining
-        or track_job(site)
-        or (wide_job(site) if site.widening.due else None)
-        or _pair_job(site, now_s, joining=True)
-        or wide_job(site)
-        or _pair_job(site, now_s, joining=False)
-    )
+    return _robots_job(site, now_s)
 
 
 def take_result(site: Site, done: Done, now_s: float) -> None:
@@ -144,8 +137,8 @@ def take_result(site: Site, done: Done, now_s: float) -> None:
         _paired(site, done, now_s)
 
 
-def solve(site: Site) -> None:
-    """Solves the fleet's graph and lets the solution judge links and correspondences."""
+def solve(site: Site, now_s: float) -> None:
+    """Solves the fleet's graph; the solution says which pairs are worth aligning next."""
     nodes = site.keyframes()
     if not nodes:
         return
@@ -169,6 +162,7 @@ def solve(site: Site) -> None:
     site.dirty = False
     site.count("solves")
     _choose_anchor(site)
+    agenda.appraise(site, now_s)
 
 
 def judge_correspondences(site: Site) -> list[RobotPair]:
@@ -204,15 +198,15 @@ def restore(site: Site, clicked_views: Sequence[KeptView]) -> None:
         robot = site.robot(view.name.robot)
         site.views.keep(view)
         robot.track.recall(view.name)
-        offer_keyframe(site, view.name)
+        agenda.note_keyframe(site, view.name)
     for pair in site.book.pairs():
         site.pair(*pair).clicks_due = True
     site.dirty = bool(clicked_views)
 
 
 def _settings(site: Site, nodes: Sequence[ViewName]) -> SolveSettings:
-    depth = float(np.median([site.views[node].median_depth_m for node in nodes]))
-    return SolveSettings.at_depth(depth)
+    site.depth_m = float(np.median([site.views[node].median_depth_m for node in nodes]))
+    return SolveSettings.at_depth(site.depth_m)
 
 
 def _gauge(site: Site, nodes: Sequence[ViewName]) -> ViewName | None:
@@ -257,19 +251,30 @@ def _click_job(site: Site) -> Job | None:
     return None
 
 
-def _pair_job(site: Site, now_s: float, joining: bool) -> Job | None:
-    pair = site.turn.pick(weights(site, now_s, joining))
-    if pair is None:
+def _robots_job(site: Site, now_s: float) -> Job | None:
+    """What robots wait for, each kind of work in its turn."""
+    for kind, share in _SHARES.items():
+        site.kinds.offer(kind, share, 0.0)
+    while (chosen := site.kinds.pick(0.0)) is not None:
+        match chosen.key:
+            case "track":
+                job = track_job(site)
+            case "wide":
+                job = wide_job(site)
+            case _:
+                job = _pair_job(site, now_s)
+        if job is not None:
+            return job
+        site.kinds.withdraw(chosen.key)
+    return None
+
+
+def _pair_job(site: Site, now_s: float) -> Job | None:
+    chosen = agenda.pick(site, now_s)
+    if chosen is None:
         return None
-    record = site.pairs[pair]
-    fitting = [views for views in record.untried if site.joined(*views) != joining]
-    views = max(fitting, key=lambda v: record.untried[v])
-    record.untried.pop(views)
-    record.running = True
-    waited_s = now_s - (record.waiting_since_s or now_s)
-    record.waiting_since_s = None
-    site.max_wait_s = max(site.max_wait_s, waited_s)
-    i, j = views
+    pair, (i, j) = chosen
+    site.pairs[pair].running = True
     return Job("pair", site.encoded(i), site.encoded(j), _known_starts(site, i, j))
 
 
@@ -300,6 +305,7 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
         _unlink_operator(site, i.robot, j.robot)
     if accepted(done.result) and at_i is not None and at_j is not None:
         _link_pair(site, at_i, at_j, done)
+    agenda.file(site, ordered_pair(i.robot, j.robot), now_s)
 
 
 def _unlink_operator(site: Site, a: str, b: str) -> None:

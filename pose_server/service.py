@@ -18,6 +18,7 @@ from pose_server.correspondences.journal import Journal, StoredView
 from pose_server.correspondences.records import JournalError, Session
 from pose_server.fetching import Fetched, FetchedNewest, FetchedWide, Fetcher
 from pose_server.inbox import Asked, Inbox, Selected, TokenSeen, Updated
+from pose_server.pairs.agenda import compare_some
 from pose_server.pairs.engine import Done, Engine
 from pose_server.publish import Stamp
 from pose_server.publishers import Publishers
@@ -115,7 +116,8 @@ class Service:
         work must not wait for ever behind a flood.
         """
         with suppress(queue.Empty):
-            event = self._queue.get(timeout=0.0 if len(self._clouds) else _TICK_S)
+            waiting = len(self._clouds) or self.site.agenda.to_compare
+            event = self._queue.get(timeout=0.0 if waiting else _TICK_S)
             end_s = time.monotonic() + _TICK_S
             while True:
                 self._handle(event)
@@ -187,6 +189,7 @@ class Service:
             self._drops.note(self.keys.view(kept.view.name.robot), error)
 
     def _start_jobs(self) -> None:
+        compare_some(self.site, time.monotonic())
         while self._engine.idle > 0:
             job = pipeline.next_job(self.site, time.monotonic())
             if job is None:
@@ -285,7 +288,7 @@ class Service:
         pause = min(self._solve_took_s * (1 / _SOLVE_SHARE - 1), _LONGEST_PAUSE_S)
         if not self.site.dirty or now < self._solved_s + pause:
             return
-        pipeline.solve(self.site)
+        pipeline.solve(self.site, now)
         if pipeline.note_components(self.site) or self.site.anchor != self._noted_anchor:
             self._noted_anchor = self.site.anchor
             self._note_gauge()

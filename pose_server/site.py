@@ -2,6 +2,7 @@
 the solution.
 """
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,9 +21,10 @@ from pose_server.geometry.se3 import (
     position_covariance,
 )
 from pose_server.lifting import Lifter
+from pose_server.pairs.agenda import Agenda
 from pose_server.pairs.engine import EncodedView
 from pose_server.pairs.judging import PairResult
-from pose_server.pairs.schedule import RoundRobin
+from pose_server.pairs.schedule import Turns
 from pose_server.pairs.tracking import Attached, Track
 from pose_server.views import KeptView, ViewStore, same_camera
 from pose_server.widening import Widening
@@ -96,11 +98,10 @@ class PairRecord:
     """What was done between two robots (or between segments of one).
 
     Attributes:
-        untried: likeness of the keyframe pairs that were not aligned yet.
+        untried: what the most promising keyframe pairs promise that were not aligned yet, 0 to 1.
         tried: keyframe pairs aligned, and by which kinds of starts.
         clicks_due: the operator's set changed and was not aligned since.
         last: the newest alignment, its views and when it ended.
-        waiting_since_s: since when it has something to try and was not picked.
     """
 
     untried: dict[ViewPair, float] = field(default_factory=dict)
@@ -113,7 +114,6 @@ class PairRecord:
     best: PairResult | None = None
     best_views: ViewPair | None = None
     alignments: int = 0
-    waiting_since_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -130,6 +130,9 @@ class Site:
 
     Attributes:
         pins: by operator and session.
+        agenda: which pairs wait to be aligned.
+        kinds: of work of which each has its share.
+        depth_m: median over the keyframes.
         held_back: the newest view of each name whose token was not seen yet.
         depths: what pairs say of the robots' depths.
         widening: pairs that wait for wide sets of salient points.
@@ -147,10 +150,10 @@ class Site:
     held_back: dict[str, KeptView] = field(default_factory=dict)
     solution: FleetSolution | None = None
     gauge_revision: int = 0
-    turn: RoundRobin[RobotPair] = field(default_factory=RoundRobin[RobotPair])
+    agenda: Agenda = field(default_factory=Agenda)
+    kinds: Turns[str] = field(default_factory=Turns)
+    depth_m: float = 1.0
     dirty: bool = False
-    max_wait_s: float = 0.0
-    pair_is_due: bool = False
     click_had_turn: bool = False
     events: list[str] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
@@ -162,6 +165,7 @@ class Site:
     widening: Widening = field(default_factory=Widening)
     alarms: tuple[Alarm, ...] = ()
     alarms_told: set[tuple[str, str]] = field(default_factory=set)
+    _edge_counts: Counter[RobotPair] = field(default_factory=Counter[RobotPair])
 
     def robot(self, name: str) -> Robot:
         """The robot's record, made when first heard of."""
@@ -273,6 +277,10 @@ class Site:
             for event in told:
                 self.say(event)
 
+    def edge_count(self, a: str, b: str) -> int:
+        """Links between two robots."""
+        return self._edge_counts[ordered_pair(a, b)]
+
     def camera_pose(self, view: ViewName) -> tuple[ViewName, Floats, Floats | None] | None:
         """Root of its component, T_root_camera and covariance of a view that hangs somewhere."""
         here = self.attached(view)
@@ -290,10 +298,14 @@ class Site:
 
     def relative(self, a: ViewName, b: ViewName) -> Floats | None:
         """T_a_b of two views' cameras by the solution, or None where nothing joins them."""
-        at_a, at_b = self.camera_pose(a), self.camera_pose(b)
-        if at_a is None or at_b is None or at_a[0] != at_b[0]:
+        if not self.joined(a, b):
             return None
-        return inverse(at_a[1]) @ at_b[1]
+        return inverse(self._T_root_camera(a)) @ self._T_root_camera(b)
+
+    def _T_root_camera(self, view: ViewName) -> Floats:
+        here = self.attached(view)
+        assert here is not None and self.solution is not None
+        return self.solution.nodes[here.keyframe].T_root_camera @ here.T_keyframe_view
 
     def component_name(self, root: ViewName) -> str:
         """The anchor's name for its component, else the root's robot and view: poses compare only
@@ -320,12 +332,15 @@ class Site:
 
     def link(self, edge: Edge) -> None:
         """Adds or replaces a link between two keyframes."""
+        if edge.key not in self.edges:
+            self._edge_counts[ordered_pair(edge.a.robot, edge.b.robot)] += 1
         self.edges[edge.key] = edge
         self.dirty = True
 
     def unlink(self, key: EdgeKey) -> None:
         """Removes a link."""
         if self.edges.pop(key, None) is not None:
+            self._edge_counts[ordered_pair(key[0].robot, key[1].robot)] -= 1
             self.dirty = True
 
 

@@ -43,7 +43,7 @@ def server_status(
         workers=engine.workers,
         pairs_per_s=counts.get("alignments", 0) / max(uptime, 1e-3),
         other_cpu_ms_per_view=1e3 * (used.ru_utime + used.ru_stime) / max(views, 1),
-        max_pair_wait_s=site.max_wait_s,
+        max_pair_wait_s=site.agenda.max_wait_s,
         drops={
             **drops,
             **{name: counts[name] for name in _DROPS if name in counts},

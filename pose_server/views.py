@@ -21,6 +21,8 @@ MIN_POINTS = 10
 _DEPTH_SAMPLE = 2000  # points for the median depth
 _SIGNATURE_POINTS = 300
 _SIGNATURE_RATIO = 0.85
+_LIKE_RATIO = 0.8
+_CHANCE, _ALIKE = 0.045, 0.13  # shares of the points that match by chance, and in like views
 _STILL_MATCHES = 40
 STILL_PX = 0.15
 
@@ -86,9 +88,10 @@ def open_view(payload: bytes, encoding: str | None, now_s: float) -> KeptView:
 
 def likeness(a: KeptView, b: KeptView) -> float:
     """A cheap guess, 0 to 1, of how much two views show the same: clear matches of the strongest
-    points.
+    points, beyond those that views of different things have by chance.
     """
-    return float(min(1.0, len(_clear_matches(a, b)) / 40.0))
+    share = len(_clear_matches(a, b, _LIKE_RATIO)) / max(min(len(a.signature), len(b.signature)), 1)
+    return float(np.clip((share - _CHANCE) / (_ALIKE - _CHANCE), 0.0, 1.0))
 
 
 def same_camera(a: Camera, b: Camera) -> bool:
@@ -113,7 +116,7 @@ def stands_still(a: KeptView, b: KeptView) -> bool:
     """Whether a robot did not move between two of its views: its strongest points kept their
     pixels.
     """
-    matches = _clear_matches(a, b)
+    matches = _clear_matches(a, b, _SIGNATURE_RATIO)
     if not same_camera(a.camera, b.camera) or len(matches) < _STILL_MATCHES:
         return False
     shift = b.signature_uv[matches[:, 1]] - a.signature_uv[matches[:, 0]]
@@ -121,8 +124,8 @@ def stands_still(a: KeptView, b: KeptView) -> bool:
     return bool(drift < STILL_PX and np.median(np.linalg.norm(shift, axis=1)) < 3 * STILL_PX)
 
 
-def _clear_matches(a: KeptView, b: KeptView) -> npt.NDArray[np.int64]:
-    matches, _ = ratio_matches(_unit(a.signature), _unit(b.signature), _SIGNATURE_RATIO)
+def _clear_matches(a: KeptView, b: KeptView, ratio: float) -> npt.NDArray[np.int64]:
+    matches, _ = ratio_matches(_unit(a.signature), _unit(b.signature), ratio)
     return matches
 
 

@@ -33,7 +33,6 @@ class Widening:
         waiting: results that are not settled, by their views.
         asked: views that robots were asked for.
         refused: views whose robots have none.
-        due: whether it is the turn of a pair that has its sets.
     """
 
     sets: OrderedDict[ViewName, bytes] = field(default_factory=OrderedDict)
@@ -41,7 +40,6 @@ class Widening:
     asked: set[ViewName] = field(default_factory=set)
     refused: dict[ViewName, None] = field(default_factory=dict)
     tries: dict[tuple[str, str], int] = field(default_factory=dict)
-    due: bool = False
 
     def of(self, view: ViewName) -> bytes | None:
         """The wide set of a view, if there is one."""
@@ -74,7 +72,7 @@ def _is_open(done: Done) -> bool:
 def _may_try(site: "Site", i: ViewName, j: ViewName) -> bool:
     """Whether two views are worth their robots' time."""
     wide = site.widening
-    if len(wide.waiting) >= _MOST_WAITING or _is_linked(site, i, j):
+    if len(wide.waiting) >= _MOST_WAITING or _is_answered(site, i, j):
         return False
     most = _TRIES + site.pair(i.robot, j.robot).alignments // _ONE_IN
     if wide.tries.get((i.robot, j.robot), 0) >= most:
@@ -116,7 +114,7 @@ def wide_job(site: "Site") -> Job | None:
             continue
         del wide.waiting[i, j]
         record = site.pair(i.robot, j.robot)
-        if i not in site.views or j not in site.views or _is_linked(site, i, j):
+        if i not in site.views or j not in site.views or _is_answered(site, i, j):
             continue
         if done.job.purpose == "clicks":
             record.clicks_due = True
@@ -130,10 +128,14 @@ def wide_job(site: "Site") -> Job | None:
     return None
 
 
-def _is_linked(site: "Site", i: ViewName, j: ViewName) -> bool:
-    """Whether a verified alignment links the two robots already."""
-    best = site.pair(i.robot, j.robot).best
-    return best is not None and best.verdict == "verified"
+def _is_answered(site: "Site", i: ViewName, j: ViewName) -> bool:
+    """Whether a verified alignment links the two robots already, or others join them; what an
+    operator clicked is worth more than that.
+    """
+    record = site.pair(i.robot, j.robot)
+    if record.best is not None and record.best.verdict == "verified":
+        return True
+    return not site.book.has(i.robot, j.robot) and site.joined(i, j)
 
 
 def _likeness(site: "Site", i: ViewName, j: ViewName) -> float:

@@ -1,21 +1,18 @@
 """Scheduling, tracking, kept views and the two flows, without network and workers."""
 
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from pose_server import pipeline
 from pose_server.build import read_pairs
 from pose_server.correspondences.book import Book
 from pose_server.correspondences.records import BookState, Change
 from pose_server.geometry.se3 import inverse
+from pose_server.pairs.agenda import compare_some
 from pose_server.pairs.engine import Done, run_job
 from pose_server.pairs.judging import PairResult
-from pose_server.pairs.schedule import RoundRobin, pair_weight
 from pose_server.pairs.tracking import Track
 from pose_server.site import Site
 from pose_server.views import KEEP_AT_LEAST, ViewStore, open_view, stands_still
@@ -35,29 +32,6 @@ class Forgetful:
 
     def record(self, change: Change) -> None:
         pass
-
-
-@settings(max_examples=30)
-@given(st.lists(st.floats(0.1, 10), min_size=1, max_size=8))
-def test_shares_of_turns_are_proportional_to_weights(weights):
-    turn: RoundRobin[int] = RoundRobin()
-    named = dict(enumerate(weights))
-    picks = Counter(turn.pick(named) for _ in range(1000))
-    for key, weight in named.items():
-        assert picks[key] / 1000 == pytest.approx(weight / sum(weights), abs=0.01)
-
-
-def test_nobody_starves_and_nobody_without_weight_is_picked():
-    turn: RoundRobin[str] = RoundRobin()
-    picks = [turn.pick({"busy": 100.0, "rare": 1.0, "off": 0.0}) for _ in range(202)]
-    assert picks.count("rare") == 2
-    assert "off" not in picks
-    assert turn.pick({"off": 0.0}) is None
-
-
-def test_joining_the_fleet_outweighs_sharpening_it():
-    assert pair_weight(0, 0.1, False, 0) > pair_weight(0, 0.1, True, 0)
-    assert pair_weight(30, 0.1, True, 2) > pair_weight(0, 0.1, True, 2)
 
 
 def named(seq: int, robot: str = "r1") -> ViewName:
@@ -161,12 +135,16 @@ def work_off(site: Site, most: int = 20) -> list[str]:
     """Runs the jobs that come, here instead of in a worker; their purposes."""
     purposes = []
     for _ in range(most):
+        if site.dirty:
+            pipeline.solve(site, 0.0)
+        while compare_some(site, 0.0):
+            pass
         job = pipeline.next_job(site, 0.0)
         if job is None:
             break
         purposes.append(job.purpose)
         pipeline.take_result(site, Done(job, run_job(job)), 0.0)
-    pipeline.solve(site)
+    pipeline.solve(site, 0.0)
     return purposes
 
 
@@ -222,7 +200,7 @@ def test_a_skipped_pair_waits_for_the_operator_whose_clicks_come_first():
     job = pipeline.next_job(site, 0.0)
     assert job is not None and job.purpose == "clicks" and not job.features
     pipeline.take_result(site, Done(job, run_job(job)), 0.0)
-    pipeline.solve(site)
+    pipeline.solve(site, 0.0)
     T = site.relative(named(0, "r1"), named(0, "r2"))
     assert T is not None and np.linalg.norm(T[:3, 3] - T_true[:3, 3]) < 0.2
     assert pipeline.judge_correspondences(site) == [("r1", "r2")]

@@ -179,7 +179,7 @@ def test_a_still_robot_is_placed_at_once_after_a_restart():
 def told(site: Site, now_s: float):
     """The state of r2 as it is published at a time."""
     while site.dirty:  # once more where an anchor was chosen
-        pipeline.solve(site)
+        pipeline.solve(site, 0.0)
     stamp = publish.Stamp("0" * 12, now_s, int(1e9 * now_s))
     for robot in site.robots.values():
         robot.published = robot.published or publish.robot_pose(site, robot, SETTINGS, stamp)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from pose_server import pipeline, widening
+from pose_server.pairs import agenda
 from pose_server.pairs.engine import Done, run_job
 from pose_server.site import Site
 from protocol.codec import pack
@@ -62,6 +63,7 @@ def test_a_pair_whose_robot_has_no_wide_set_is_given_up(site, wide):
 
 def _again(site: Site):
     site.pair("r1", "r2").untried[BOTH[0], BOTH[1]] = 1.0
+    agenda.file(site, ("r1", "r2"), 1.0)
     job = pipeline.next_job(site, 1.0)
     assert job is not None
     return job

@@ -1,0 +1,227 @@
+"""Which pair of robots is aligned next, and why.
+
+A keyframe is laid beside those of the other robots when the fleet's solution knows it. What looks
+promising waits in one of three lines: pairs that may join two components, pairs of which that is
+unlikely, and pairs within one component that make it firmer. In each it is the turn of every pair
+in proportion to its weight.
+"""
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+from pose_server.pairs.candidates import (
+    BEST_OF_ROBOT,
+    LEAST_OVERLAP,
+    by_poses,
+    expected_overlaps,
+    similarity,
+    to_compare,
+)
+from pose_server.pairs.schedule import Pick, Turns
+from protocol.keys import ordered_pair
+from protocol.messages import ViewName
+
+if TYPE_CHECKING:
+    from pose_server.site import PairRecord, Site
+
+RobotPair = tuple[str, str]
+ViewPair = tuple[ViewName, ViewName]
+Line = Literal["joining", "unlikely", "sharpening"]
+
+_SHARES: dict[Line, float] = {"joining": 8.0, "unlikely": 1.0, "sharpening": 2.0}
+_MOST_UNTRIED = 8  # keyframe pairs of two robots that wait at a time
+_MOST_TO_COMPARE = 20_000
+_LEAST_PROMISE = 0.05  # looks deceive: no pair is hopeless
+_WRONG_NEEDS = 3.0  # a pair whose best alignment is not trusted needs more than its share
+_ERROR_SHARE = 0.01  # of the depth: a regression error that doubles a pair's weight
+
+
+@dataclass
+class Agenda:
+    """What waits to be aligned between robots.
+
+    Attributes:
+        fresh: keyframes that were laid beside no others yet.
+        to_compare: pairs of views whose looks are still to be compared, the newest last.
+        lines: pairs of robots that wait, by kind.
+        picked: why the last pair was picked, in words.
+        max_wait_s: the longest that any pair has waited for its turn.
+        max_wait_share: the same in picks, as a share of what the weights allow at most.
+    """
+
+    fresh: dict[ViewName, None] = field(default_factory=dict)
+    to_compare: deque[ViewPair] = field(default_factory=lambda: deque(maxlen=_MOST_TO_COMPARE))
+    lines: dict[Line, Turns[RobotPair]] = field(
+        default_factory=lambda: {line: Turns() for line in _SHARES}
+    )
+    picked: str = ""
+    max_wait_s: float = 0.0
+    max_wait_share: float = 0.0
+    kinds: Turns[Line] = field(default_factory=Turns)
+    roots: frozenset[ViewName] = frozenset()
+
+    @property
+    def waiting(self) -> int:
+        """Pairs of robots in all lines."""
+        return sum(map(len, self.lines.values()))
+
+
+def note_keyframe(site: "Site", view: ViewName) -> None:
+    """A new keyframe will be laid beside the others when the fleet is solved."""
+    site.agenda.fresh[view] = None
+
+
+def appraise(site: "Site", now_s: float) -> None:
+    """After a solve: lays new keyframes beside the others, and thinks again about those whose
+    components were joined or fell apart.
+    """
+    agenda, solution = site.agenda, site.solution
+    if solution is None:
+        return
+    if agenda.roots != (roots := frozenset(solution.components)):
+        agenda.roots = roots
+        for pair, record in site.pairs.items():
+            if record.untried:
+                _think_again(site, record)
+                file(site, pair, now_s)
+    for view in [view for view in agenda.fresh if view in solution.nodes]:
+        del agenda.fresh[view]
+        if view in site.views:
+            _lay_beside(site, view, now_s)
+
+
+def compare_some(site: "Site", now_s: float, most: int = 10) -> bool:
+    """Compares the looks of so many pairs of views; whether any were left to compare."""
+    agenda, compared = site.agenda, 0
+    while agenda.to_compare and compared < most:
+        a, b = agenda.to_compare.pop()
+        if a in site.views and b in site.views and not site.joined(a, b):
+            compared += 1
+            note_promise(site, a, b, similarity(site, a, b), now_s)
+    return compared > 0
+
+
+def note_promise(site: "Site", a: ViewName, b: ViewName, promise: float, now_s: float) -> None:
+    """Two keyframes of different robots, or of parts of one, may be worth aligning."""
+    pair = ordered_pair(a.robot, b.robot)
+    record = site.pair(*pair)
+    if pair in site.skip:
+        return
+    views = (a, b) if (a.robot, a.seq) < (b.robot, b.seq) else (b, a)
+    if views in record.tried:
+        return
+    record.untried[views] = promise
+    if len(record.untried) > _MOST_UNTRIED:
+        del record.untried[min(record.untried, key=lambda one: record.untried[one])]
+    file(site, pair, now_s)
+
+
+def file(site: "Site", pair: RobotPair, now_s: float) -> None:
+    """Puts a pair into the line it belongs to, with its weight, or takes it out."""
+    record, agenda = site.pairs[pair], site.agenda
+    line, promise = _line_of(site, record)
+    for other, turns in agenda.lines.items():
+        if other != line:
+            turns.withdraw(pair)
+    if line is not None:
+        weight = pair_weight(site, pair, record, line, promise)
+        agenda.lines[line].offer(pair, weight, now_s)
+
+
+def pick(site: "Site", now_s: float) -> tuple[RobotPair, ViewPair] | None:
+    """The pair whose turn it is, and its most promising keyframes, which are taken off the list."""
+    agenda = site.agenda
+    running = [pair for pair, record in site.pairs.items() if record.running]
+    for line, turns in agenda.lines.items():
+        if len(turns):
+            agenda.kinds.offer(line, _SHARES[line], 0.0)
+        else:
+            agenda.kinds.withdraw(line)
+    while (kind := agenda.kinds.pick(0.0)) is not None:
+        chosen = agenda.lines[kind.key].pick(now_s, running)
+        if chosen is None:
+            agenda.kinds.withdraw(kind.key)  # all of its pairs are at work
+            continue
+        record = site.pairs[chosen.key]
+        joining = kind.key != "sharpening"
+        fitting = [views for views in record.untried if site.joined(*views) != joining]
+        if not fitting:
+            file(site, chosen.key, now_s)
+            continue
+        views = max(fitting, key=lambda one: record.untried[one])
+        promise = record.untried.pop(views)
+        _note_pick(agenda, kind.key, chosen, promise)
+        file(site, chosen.key, now_s)
+        return chosen.key, views
+    return None
+
+
+def pair_weight(
+    site: "Site", pair: RobotPair, record: "PairRecord", line: Line, promise: float
+) -> float:
+    """How much a pair deserves the next alignment, beside others of its line: what it promises,
+    less for every link it has, more for a large regression error or a result that is not trusted.
+    """
+    weight = _LEAST_PROMISE + promise
+    best = record.best
+    if line == "sharpening":
+        weight /= 1.0 + site.edge_count(*pair)
+        if best is not None:
+            weight *= 1.0 + min(best.rmse_m / (_ERROR_SHARE * site.depth_m), 2.0)
+            weight *= 1.0 if best.verdict == "verified" else _WRONG_NEEDS
+    elif best is not None and best.verdict == "rejected":
+        weight /= 1.0 + 0.5 * record.alignments  # tries so far
+    return weight
+
+
+def _line_of(site: "Site", record: "PairRecord") -> tuple[Line | None, float]:
+    """The line that a pair belongs to, and what its best keyframes promise there."""
+    apart = [p for views, p in record.untried.items() if not site.joined(*views)]
+    if apart:
+        promise = max(apart)
+        return ("joining" if promise > 0.0 else "unlikely"), promise
+    if record.untried:
+        return "sharpening", max(record.untried.values())
+    return None, 0.0
+
+
+def _lay_beside(site: "Site", view: ViewName, now_s: float) -> None:
+    for other, overlap in by_poses(site, view).items():
+        note_promise(site, view, other, overlap, now_s)
+    pairs = ((view, other) for other in to_compare(site, view))
+    for a, b in pairs:
+        if ordered_pair(a.robot, b.robot) not in site.skip:
+            site.agenda.to_compare.append((a, b))
+        else:
+            site.pair(a.robot, b.robot)
+
+
+def _think_again(site: "Site", record: "PairRecord") -> None:
+    """Where poses now say what two views see in common, they count instead of looks."""
+    for a, b in list(record.untried):
+        if not site.joined(a, b):
+            continue
+        overlap = float(expected_overlaps(site, a, [b])[0])
+        if a.robot == b.robot or overlap < LEAST_OVERLAP:
+            del record.untried[a, b]
+        else:
+            record.untried[a, b] = overlap
+    joined = [views for views in record.untried if site.joined(*views)]
+    for views in sorted(joined, key=lambda one: -record.untried[one])[BEST_OF_ROBOT:]:
+        del record.untried[views]
+
+
+def _note_pick(agenda: Agenda, line: Line, chosen: Pick[RobotPair], promise: float) -> None:
+    why = {
+        "joining": f"may join two components, its views look alike to {promise:.0%}",
+        "unlikely": "its views do not look alike, but nothing joins them yet",
+        "sharpening": f"would make the fleet firmer, expected overlap {promise:.0%}",
+    }[line]
+    agenda.picked = (
+        f"{chosen.key[0]} - {chosen.key[1]}: {why}; waited {chosen.waited_s:.1f} s; "
+        f"weight {chosen.weight:.2g} of {chosen.total:.2g}"
+    )
+    agenda.max_wait_s = max(agenda.max_wait_s, chosen.waited_s)
+    share = chosen.waited_picks / chosen.most_picks
+    agenda.max_wait_share = max(agenda.max_wait_share, share)
