@@ -291,6 +291,9 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
     record.alignments += 1
     site.count("alignments")
     record.last_s = now_s
+    for name in (i.robot, j.robot):
+        site.robot(name).errors = None
+    site.touched.update((i.robot, j.robot))
     if done.result is None:
         site.say(f"alignment of {i} and {j} failed: {done.error}")
         return

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pose_server.geometry.se3 import inverse
+from pose_server.geometry.se3 import inverse, rotation_angle
+from pose_server.matrix import pair_cells
 from pose_server.pairs.judging import PairResult
 from pose_server.questions import questions
 from pose_server.settings import ServerSettings
@@ -13,7 +14,6 @@ from pose_server.site import Robot, Site, body_pose, in_fleet, position_sigma
 from protocol.messages import (
     Alignment,
     FleetState,
-    PairCell,
     PairError,
     RelativePose,
     RobotPose,
@@ -25,6 +25,8 @@ Floats = npt.NDArray[np.floating]
 
 _JUMP_SIGMAS = 3.0
 _JUMP_SHARE = 0.01  # of the median depth: smaller moves are never called jumps
+_WORTH_TELLING = 0.1  # sigmas that a solve must move a robot by
+_SURER = 1.1  # ratio of sigmas
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,7 @@ def robot_pose(
     age_s = max(0.0, stamp.now_s - kept.received_s)
     verdict = site.solution.nodes[newest.keyframe].verdict
     located = not _why_not(site, settings, root, verdict, age_s, T, covariance, kept.median_depth_m)
+    robot.published_node = site.solution.nodes[newest.keyframe]
     jumped = _jumped(site, robot, newest.keyframe, T_fleet_root, component)
     robot.poses_sent += 1
     return RobotPose(
@@ -74,7 +77,7 @@ def robot_pose(
         jumped=jumped,
         age_s=age_s,
         valid_until_ns=kept.stamp_ns + int(1e9 * settings.fresh_s),
-        errors=_errors(site, robot.name),
+        errors=_errors(site, robot),
         server_epoch=stamp.epoch,
         n=robot.poses_sent,
     )
@@ -159,15 +162,45 @@ def _jumped(
     return shift > max(_JUMP_SHARE * depth, _JUMP_SIGMAS * sigma)
 
 
-def _errors(site: Site, name: str) -> tuple[PairError, ...]:
-    found = []
-    for (a, b), record in site.pairs.items():
-        if name in (a, b) and a != b and record.best is not None:
-            other = b if name == a else a
-            found.append(
-                PairError(other=other, rmse_m=record.best.rmse_m, verdict=record.best.verdict)
-            )
-    return tuple(found)
+def _errors(site: Site, robot: Robot) -> tuple[PairError, ...]:
+    """Of its pairs, made anew only when one of them was aligned."""
+    if robot.errors is None:
+        records = [
+            (other, record.best)
+            for other in site.partners[robot.name]
+            if (record := site.pair(robot.name, other)).best is not None
+        ]
+        robot.errors = tuple(
+            PairError(other=other, rmse_m=best.rmse_m, verdict=best.verdict)
+            for other, best in records
+            if best is not None
+        )
+    return robot.errors
+
+
+def has_moved(site: Site, robot: Robot) -> bool:
+    """Whether the solution puts a robot, since it was told last, elsewhere by more than is worth
+    telling between two views, or into another component, or is less or more sure.
+    """
+    newest, solution, pose = robot.track.newest, site.solution, robot.published
+    if newest is None or solution is None or (node := solution.nodes.get(newest.keyframe)) is None:
+        return False
+    before = robot.published_node
+    if before is None or pose is None or pose.gauge_revision != site.gauge_revision:
+        return True
+    if before is node:
+        return False
+    if (before.root, before.verdict) != (node.root, node.verdict):
+        return True
+    if before.covariance is None or node.covariance is None:
+        return before.covariance is not node.covariance
+    sigma = position_sigma(before.T_root_camera, before.covariance)
+    ratio = position_sigma(node.T_root_camera, node.covariance) / max(sigma, 1e-12)
+    shift = np.linalg.norm(node.T_root_camera[:3, 3] - before.T_root_camera[:3, 3])
+    turn = rotation_angle(node.T_root_camera[:3, :3].T @ before.T_root_camera[:3, :3])
+    turn_sigma = float(np.sqrt(np.trace(before.covariance[:3, :3])))
+    moved = shift > _WORTH_TELLING * sigma or turn > _WORTH_TELLING * turn_sigma
+    return bool(moved or not 1 / _SURER < ratio < _SURER)
 
 
 def alignment(i: ViewName, j: ViewName, result: PairResult, stamp: Stamp, n: int) -> Alignment:
@@ -230,44 +263,6 @@ def _robot_state(site: Site, robot: Robot, settings: ServerSettings, now_s: floa
         pose=pose,
         why_not=why_not,
     )
-
-
-def pair_cells(site: Site, now_s: float) -> tuple[PairCell, ...]:
-    """The error matrix: a cell per pair of which anything is known; the others are untried."""
-    names = sorted(
-        {name for name, robot in site.robots.items() if robot.track.newest is not None}
-        | {name for pair in site.book.pairs() for name in pair if name in site.robots}
-    )
-    cells = (_cell(site, a, b, now_s) for k, a in enumerate(names) for b in names[k + 1 :])
-    return tuple(cell for cell in cells if cell.state != "untried" or cell.correspondences)
-
-
-def _cell(site: Site, a: str, b: str, now_s: float) -> PairCell:
-    record = site.pairs.get((a, b))
-    clicks = len(list(site.book.of(a, b)))
-    if record is not None and record.best is not None:
-        best = record.best
-        return PairCell(
-            i=a,
-            j=b,
-            state="tried",
-            verdict=best.verdict,
-            rmse_m=best.rmse_m,
-            regression_error_m2=best.regression_error_m2,
-            regression_count=best.regression_count,
-            overlap=best.overlap,
-            age_s=max(0.0, now_s - record.last_s),
-            correspondences=clicks,
-        )
-    through = _same_component(site, a, b)
-    return PairCell(
-        i=a, j=b, state="through_others" if through else "untried", correspondences=clicks
-    )
-
-
-def _same_component(site: Site, a: str, b: str) -> bool:
-    at_a, at_b = site.robots[a].track.newest, site.robots[b].track.newest
-    return at_a is not None and at_b is not None and site.joined(at_a.view, at_b.view)
 
 
 def relative_pose(site: Site, a: str, b: str, now_s: float) -> RelativePose | str:

@@ -67,6 +67,7 @@ class Service:
         self._next: dict[str, float] = {}
         self._solved_s = self._solve_took_s = 0.0
         self._saw_newest: dict[str, object] = {}
+        self._saw_solution: object = None
         self._noted_anchor = site.anchor
         self._unclicked = False
         self._unanswered: dict[Session, OperatorUpdate] = {}
@@ -294,7 +295,6 @@ class Service:
             self._note_gauge()
         self._solve_took_s = time.monotonic() - now
         self._solved_s = time.monotonic()
-        self._saw_newest.clear()
         for pair in pipeline.judge_correspondences(self.site):
             self._publish_correspondences(pair)
 
@@ -308,16 +308,25 @@ class Service:
             log.error("the gauge was not recorded: %s", error)
 
     def _publish_moved(self) -> None:
-        """Poses of robots whose newest view changed, or all after a solve."""
-        for name, robot in self.site.robots.items():
-            if robot.track.newest is None or self._saw_newest.get(name) is robot.track.newest:
+        """Poses of robots with a newer view, and of those that a solve moved or whose pair was
+        aligned.
+        """
+        site = self.site
+        solved = self._saw_solution is not site.solution
+        self._saw_solution = site.solution
+        touched = set() if site.dirty else site.touched  # what they led to is still to be solved
+        for name, robot in site.robots.items():
+            newest = robot.track.newest
+            moved = name in touched or (solved and publish.has_moved(site, robot))
+            if newest is None or (self._saw_newest.get(name) is newest and not moved):
                 continue
-            pose = publish.robot_pose(self.site, robot, self.settings, self._stamp())
+            pose = publish.robot_pose(site, robot, self.settings, self._stamp())
             if pose is None:
                 continue
-            self._saw_newest[name] = robot.track.newest
+            self._saw_newest[name] = newest
             robot.published = pose
             self._put(self.keys.pose(name), pose)
+        touched.clear()
 
     def _publish_steadily(self) -> None:
         if self._due("state", 1.0 / self.settings.state_hz):

@@ -2,7 +2,7 @@
 the solution.
 """
 
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pose_server.calibration.memory import Memory
 from pose_server.correspondences.book import Book
-from pose_server.fleet.types import Edge, EdgeKey, FleetSolution
+from pose_server.fleet.types import Edge, EdgeKey, FleetSolution, NodePose
 from pose_server.geometry.se3 import (
     adjoint,
     compose_covariance,
@@ -30,7 +30,7 @@ from pose_server.views import KeptView, ViewStore, same_camera
 from pose_server.widening import Widening
 from protocol.errors import FleetPoseError
 from protocol.keys import ordered_pair
-from protocol.messages import Alarm, Camera, RobotPose, ViewName
+from protocol.messages import Alarm, Camera, PairCell, PairError, RobotPose, ViewName
 
 Floats = npt.NDArray[np.floating]
 PINNED_S = 60.0  # a client repeats what it holds every few seconds
@@ -64,6 +64,7 @@ class Robot:
         camera: of the newest view.
         stamp_ns: of the newest view, by the robot's clock.
         changes: of calibration, and times that the clock went back.
+        errors: of its pairs as they are told; None when one of them changed.
     """
 
     name: str
@@ -79,6 +80,8 @@ class Robot:
     track: Track = field(default_factory=Track)
     published: RobotPose | None = None
     published_keyframe: tuple[ViewName, Floats] | None = None
+    published_node: NodePose | None = None
+    errors: tuple[PairError, ...] | None = None
     poses_sent: int = 0
     untracked: int = 0
 
@@ -132,6 +135,9 @@ class Site:
         pins: by operator and session.
         agenda: which pairs wait to be aligned.
         kinds: of work of which each has its share.
+        partners: of each robot, those of which a pair record is there.
+        touched: robots of pairs that were aligned and not told of since.
+        cells: of the error matrix as they were told last, and what they were made of.
         depth_m: median over the keyframes.
         held_back: the newest view of each name whose token was not seen yet.
         depths: what pairs say of the robots' depths.
@@ -155,6 +161,9 @@ class Site:
     depth_m: float = 1.0
     dirty: bool = False
     click_had_turn: bool = False
+    partners: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    touched: set[str] = field(default_factory=set)
+    cells: dict[RobotPair, tuple[object, PairCell]] = field(default_factory=dict)
     events: list[str] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     gauge: ViewName | None = None
@@ -200,7 +209,14 @@ class Site:
 
     def pair(self, a: str, b: str) -> PairRecord:
         """The pair's record, made when first needed."""
-        return self.pairs.setdefault(ordered_pair(a, b), PairRecord())
+        pair = ordered_pair(a, b)
+        record = self.pairs.get(pair)
+        if record is None:
+            record = self.pairs[pair] = PairRecord()
+            if a != b:
+                self.partners[a].append(b)
+                self.partners[b].append(a)
+        return record
 
     def count(self, what: str, by: int = 1) -> None:
         """Counts something for the status."""

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pose_server.geometry.matching import ratio_matches
 from pose_server.pairs.engine import EncodedView
-from protocol.clouds import decode_salient, points_of
+from protocol.clouds import decode_salient, points_of, some_points_of
 from protocol.codec import unpack
 from protocol.errors import CodecError
 from protocol.messages import Camera, View, ViewName
@@ -20,10 +20,10 @@ KEEP_AT_LEAST = 20
 MIN_POINTS = 10
 _DEPTH_SAMPLE = 2000  # points for the median depth
 _SIGNATURE_POINTS = 300
-_SIGNATURE_RATIO = 0.85
 _LIKE_RATIO = 0.8
 _CHANCE, _ALIKE = 0.045, 0.13  # shares of the points that match by chance, and in like views
 _STILL_MATCHES = 40
+_NEAR_PX, _SAME_COSINE = 3.0, 0.9
 STILL_PX = 0.15
 
 
@@ -63,7 +63,9 @@ def open_view(payload: bytes, encoding: str | None, now_s: float) -> KeptView:
         CodecError: it is no valid view, has no points, or some outside of its image.
     """
     view = unpack(View, payload, encoding)
-    points = points_of(view, _DEPTH_SAMPLE)
+    points = some_points_of(view, _DEPTH_SAMPLE)
+    if len(points.xyz) < MIN_POINTS:
+        points = points_of(view)
     if len(points.xyz) < MIN_POINTS:
         raise CodecError(
             f"view {view.name} has {len(points.xyz)} points with depth, need {MIN_POINTS}"
@@ -116,12 +118,22 @@ def stands_still(a: KeptView, b: KeptView) -> bool:
     """Whether a robot did not move between two of its views: its strongest points kept their
     pixels.
     """
-    matches = _clear_matches(a, b, _SIGNATURE_RATIO)
-    if not same_camera(a.camera, b.camera) or len(matches) < _STILL_MATCHES:
+    if not same_camera(a.camera, b.camera) or a.signature.shape[1] != b.signature.shape[1]:
         return False
-    shift = b.signature_uv[matches[:, 1]] - a.signature_uv[matches[:, 0]]
+    shift = _kept_places(a, b)
+    if len(shift) < _STILL_MATCHES:
+        return False
     drift = np.abs(np.median(shift, axis=0)).max()
     return bool(drift < STILL_PX and np.median(np.linalg.norm(shift, axis=1)) < 3 * STILL_PX)
+
+
+def _kept_places(a: KeptView, b: KeptView) -> npt.NDArray[np.float32]:
+    """(M, 2) shifts in pixels of points that look the same in both and lie near each other."""
+    near = [np.abs(np.subtract.outer(a.signature_uv[:, c], b.signature_uv[:, c])) for c in (0, 1)]
+    k, m = np.nonzero((near[0] < _NEAR_PX) & (near[1] < _NEAR_PX))
+    looks_a, looks_b = _unit(a.signature[k]), _unit(b.signature[m])
+    same = (looks_a * looks_b).sum(axis=1) > _SAME_COSINE
+    return b.signature_uv[m[same]] - a.signature_uv[k[same]]
 
 
 def _clear_matches(a: KeptView, b: KeptView, ratio: float) -> npt.NDArray[np.int64]:

@@ -12,6 +12,7 @@ from pose_server import site as site_module
 from pose_server.correspondences.journal import Journal, JournalError, StoredView
 from pose_server.fetching import Fetcher
 from pose_server.inbox import Inbox, Selected, TokenSeen, Updated
+from pose_server.matrix import pair_cells
 from pose_server.pairs.agenda import compare_some
 from pose_server.pairs.engine import Done, EncodedView, Job, run_job
 from pose_server.publish import Stamp
@@ -228,7 +229,7 @@ def test_a_thousand_tokens_do_not_slow_the_state():
         pipeline.receive_token(site, f"ghost-{k}", EPOCH, True)
     asked = []
     site.book.of = lambda a, b: asked.append((a, b)) or []  # type: ignore[method-assign]
-    publish.pair_cells(site, 0.0)
+    pair_cells(site, 0.0)
     assert not asked
 
 
