@@ -81,10 +81,14 @@ def appraise(site: "Site", now_s: float) -> None:
         return
     if agenda.roots != (roots := frozenset(solution.components)):
         agenda.roots = roots
-        for pair, record in site.pairs.items():
-            if record.untried:
-                _think_again(site, record)
-                file(site, pair, now_s)
+        sharpening = agenda.lines["sharpening"]
+        for line in agenda.lines.values():
+            for pair in line.waiting():
+                if any(
+                    site.joined(*v) == (line is not sharpening) for v in site.pairs[pair].untried
+                ):
+                    _think_again(site, site.pairs[pair])
+                    file(site, pair, now_s)
     for view in [view for view in agenda.fresh if view in solution.nodes]:
         del agenda.fresh[view]
         if view in site.views:

@@ -26,7 +26,7 @@ COVARIANCE_FLOOR = 3e-4
 _MOST_PIXEL_NOISE = 4.0  # that may be found at a pose: an alias shows by it
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PairResult:
     """An alignment and how good it is. Poses are camera j in camera i, covariances left, rotation
     first. `depths` tells how the depths of both views fit each other, whatever the

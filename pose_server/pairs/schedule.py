@@ -56,6 +56,10 @@ class Turns(Generic[K]):
     def __contains__(self, key: K) -> bool:
         return key in self._place
 
+    def waiting(self) -> list[K]:
+        """All keys in line, in no order."""
+        return list(self._keys)
+
     def offer(self, key: K, weight: float, now_s: float) -> None:
         """Adds a key, or gives it another weight; it keeps its place in the line.
 
