@@ -84,10 +84,9 @@ def appraise(site: "Site", now_s: float) -> None:
         sharpening = agenda.lines["sharpening"]
         for line in agenda.lines.values():
             for pair in line.waiting():
-                if any(
-                    site.joined(*v) == (line is not sharpening) for v in site.pairs[pair].untried
-                ):
-                    _think_again(site, site.pairs[pair])
+                record, joined = site.pairs[pair], line is sharpening
+                if any(site.joined(*views) != joined for views in record.untried):
+                    _think_again(site, record)
                     file(site, pair, now_s)
     for view in [view for view in agenda.fresh if view in solution.nodes]:
         del agenda.fresh[view]
