@@ -4,7 +4,8 @@ A click belongs to the view it was made in. That view hangs on a keyframe, so th
 carried there and goes on helping when the robot has moved on.
 """
 
-from collections import Counter
+from collections import Counter, defaultdict
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,7 @@ from protocol.messages import CorrespondenceStatus, ViewName
 
 Floats = npt.NDArray[np.floating]
 Judgement = tuple[CorrespondenceStatus, float | None, float | None]
+BEHIND_PX = 1e6  # told of a point that ends up behind the camera
 
 
 def click_factors(site: Site) -> list[ClickFactor]:
@@ -67,35 +69,50 @@ def judge(site: Site) -> list[RobotPair]:
     """
     changed = []
     for pair in site.book.pairs():
-        verdicts = {kept.item.id: _judged(site, kept) for kept in site.book.of(*pair)}
+        by_views: dict[tuple[ViewName, ViewName], list[Kept]] = defaultdict(list)
+        for kept in site.book.of(*pair):
+            by_views[kept.item.view_i, kept.item.view_j].append(kept)
+        verdicts: dict[int, Judgement] = {}
+        for views, clicked in by_views.items():
+            verdicts |= _judged(site, views, clicked)
         if site.book.set_status(pair, verdicts):
             changed.append(pair)
     return changed
 
 
-def _judged(site: Site, kept: Kept) -> Judgement:
-    T_i_j = site.relative(kept.item.view_i, kept.item.view_j)
+def _judged(
+    site: Site, views: tuple[ViewName, ViewName], clicked: Sequence[Kept]
+) -> dict[int, Judgement]:
+    """How the correspondences of two views fit the solution, by id."""
+    T_i_j = site.relative(*views)
     if T_i_j is None:
-        return "unused", None, None
-    p = transform(T_i_j, kept.p_j[None])[0]
-    u, v, w = site.views[kept.item.view_i].camera.K @ p
-    residual_px = (
-        float(np.hypot(u / w - kept.item.pixel_i[0], v / w - kept.item.pixel_i[1]))
-        if w > 0
-        else 1e6
-    )
-    wrong = contradicts(T_i_j, (kept.p_i, kept.C_i), (kept.p_j, kept.C_j))
-    status = "outlier" if wrong else "accepted"
-    return status, float(np.linalg.norm(kept.p_i - p)), residual_px
+        return {kept.item.id: ("unused", None, None) for kept in clicked}
+    pairs = point_pairs(clicked)
+    p = transform(T_i_j, pairs.p_b)
+    seen = p @ site.views[views[0]].camera.K.T
+    pixels = np.array([kept.item.pixel_i for kept in clicked])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off_px = np.linalg.norm(seen[:, :2] / seen[:, 2:] - pixels, axis=1)
+    off_px = np.where(seen[:, 2] > 0, off_px, BEHIND_PX)
+    off_m = np.linalg.norm(pairs.p_a - p, axis=1)
+    wrong = contradicts(T_i_j, pairs)
+    return {
+        kept.item.id: ("outlier" if wrong[k] else "accepted", float(off_m[k]), float(off_px[k]))
+        for k, kept in enumerate(clicked)
+    }
 
 
-def contradicts(T_i_j: Floats, at_i: tuple[Floats, Floats], at_j: tuple[Floats, Floats]) -> bool:
-    """Whether a clicked point, lifted in both views to ((3,) place, (3, 3) covariance), is too far
-    from itself under a relative pose.
+def point_pairs(clicked: Sequence[Kept]) -> PointPairs:
+    """The points of correspondences in the views that they were clicked in."""
+    columns = zip(*((k.p_i, k.p_j, k.C_i, k.C_j) for k in clicked), strict=True)
+    return PointPairs(*(np.array(column) for column in columns))
+
+
+def contradicts(T_i_j: Floats, clicked: PointPairs) -> npt.NDArray[np.bool_]:
+    """(N,) whether clicked points, lifted in both views, are too far from themselves under a
+    relative pose.
     """
-    (p_i, C_i), (p_j, C_j) = at_i, at_j
-    clicked = PointPairs(p_i[None], p_j[None], C_i[None], C_j[None])
-    return float(clicked.distance2(T_i_j)[0]) > OUTLIER_CHI2
+    return clicked.distance2(T_i_j) > OUTLIER_CHI2
 
 
 def _carried(here: Attached, p: Floats, C: Floats) -> tuple[Floats, Floats]:

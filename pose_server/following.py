@@ -209,6 +209,7 @@ def _drop_keyframe(site: Site, robot: Robot) -> None:
     for record in site.pairs.values():
         record.untried = _without(oldest, record.untried)
         record.tried = _without(oldest, record.tried)
+        record.searched = _without(oldest, record.searched)
 
 
 V = TypeVar("V")

@@ -7,6 +7,7 @@ publishes what changed.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,11 +18,12 @@ from pose_server.fleet.graph import solve_fleet
 from pose_server.fleet.types import Edge, SolveSettings
 from pose_server.following import back_job, followed, look_back, newest_arrived, track_job
 from pose_server.pairs import agenda
+from pose_server.pairs.align import is_settled
 from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.refining import Start
 from pose_server.pairs.tracking import Attached, accepted
-from pose_server.site import RobotPair, Site, on_keyframes
+from pose_server.site import PairRecord, RobotPair, Site, on_keyframes
 from pose_server.views import KeptView
 from pose_server.widening import note_open, wide_job
 from protocol.errors import CodecError
@@ -240,7 +242,7 @@ def _click_job(site: Site) -> Job | None:
         views, clicks = found
         i, j = views
         record.running = True
-        return Job(
+        job = Job(
             "clicks",
             site.encoded(i),
             site.encoded(j),
@@ -248,7 +250,16 @@ def _click_job(site: Site) -> Job | None:
             features=(a, b) not in site.skip,
             clicks=clicks,
         )
+        return replace(job, known=_known_of(record, job))
     return None
+
+
+def _known_of(record: PairRecord, job: Job) -> PairResult | None:
+    """What features said of the views of a job, unless their wide sets could say more now."""
+    result, wide = record.searched.get((job.i.name, job.j.name), (None, False))
+    if result is None or (job.wide and not wide and not is_settled(result)):
+        return None
+    return result
 
 
 def _robots_job(site: Site, now_s: float) -> Job | None:
@@ -299,6 +310,8 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
         return
     note_depths(site, done)
     record.tried.setdefault((i, j), set()).add(done.job.purpose)
+    if done.job.features and done.job.known is None:
+        record.searched[i, j] = (done.result, done.job.wide)
     note_open(site, done)
     record.last, record.last_views = done.result, (i, j)
     if _is_better(done.result, record.best):

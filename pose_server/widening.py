@@ -63,7 +63,7 @@ def note_open(site: "Site", done: Done) -> None:
 def _is_open(done: Done) -> bool:
     """Whether a result of two robots leaves something to wide sets."""
     job = done.job
-    tried = job.usual is not None or (job.i.wide is not None and job.j.wide is not None)
+    tried = job.usual is not None or job.wide
     if tried or not job.features or job.i.name.robot == job.j.name.robot:
         return False
     return done.result is not None and not is_settled(done.result)

@@ -19,6 +19,7 @@ from evaluation.strip import distinct_names
 from pose_server.clicks import contradicts
 from pose_server.fleet.graph import solve_fleet
 from pose_server.fleet.types import ClickFactor, Edge, FleetSolution, SolveSettings
+from pose_server.geometry.point_pairs import PointPairs
 from protocol.keys import new_epoch
 from protocol.messages import ViewName
 
@@ -150,8 +151,7 @@ def _marked(
     if relative is None:
         return None
     i, j = clicked.at_i, clicked.at_j
-    ends = zip(i.p, i.C, j.p, j.C, strict=True)
-    return np.array([contradicts(relative.T_a_b, (a, A), (b, B)) for a, A, b, B in ends], bool)
+    return contradicts(relative.T_a_b, PointPairs(i.p, j.p, i.C, j.C))
 
 
 def _error_m(

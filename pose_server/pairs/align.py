@@ -34,6 +34,7 @@ _USUAL_POSES, _WIDE_POSES = 2, 4  # that are refined, of those found by features
 _STRONG_INLIERS = 60
 _STRONG_SIGMA, _WEAK_SIGMA = 0.0055, 0.011  # share of the depth
 _SETTLED_INLIERS, _SETTLED_SIGMA = 25, 0.0127
+_TRUST = {"verified": 3, "plausible": 2, "ambiguous": 1, "rejected": 0}
 
 
 def align_pair(
@@ -98,6 +99,31 @@ def align_wide(
     result = _finished(pair, candidates, result)
     timings = {**usual.timings_ms, "wide": 1e3 * (time.perf_counter() - began)}
     return replace(result, timings_ms=timings, depths=usual.depths, moving=usual.moving)
+
+
+def align_from(
+    i: PreparedView, j: PreparedView, starts: Sequence[Start], known: PairResult, wide: bool
+) -> PairResult:
+    """Aligns two views from given starts alone: what features say of them is known already, and is
+    kept where no start leads to anything better.
+
+    Args:
+        i, j: the views, with their wide sets if `wide`.
+        starts: poses to begin from.
+        known: what `align_pair` or `align_wide` made of the same views.
+    """
+    began = time.perf_counter()
+    pair = Pair(i, j, WIDE_RATIO if wide else RATIO)
+    candidates = [one for start in starts for one in from_start(pair, start)]
+    if known.T_i_j is not None:
+        candidates.append(Candidate(pair, known.start, known.T_i_j))
+    if not candidates or best_of(candidates).T_i_j is known.T_i_j:
+        return known
+    result = _finished(pair, candidates, _judge_best(pair, candidates))
+    if _TRUST[result.verdict] < _TRUST[known.verdict]:
+        return known
+    timings = {"from_starts": 1e3 * (time.perf_counter() - began)}
+    return replace(result, timings_ms=timings, depths=known.depths, moving=known.moving)
 
 
 def is_settled(result: PairResult) -> bool:

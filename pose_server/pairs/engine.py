@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from pose_server.geometry.motion import Mask
-from pose_server.pairs.align import align_pair, align_wide, is_settled
+from pose_server.pairs.align import align_from, align_pair, align_wide, is_settled
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.moving import without_moving
 from pose_server.pairs.refining import Start
@@ -64,6 +64,7 @@ class Job:
         features: whether to look for a start by features as well.
         clicks: the operator's correspondences between the two views.
         usual: what the usual salient points gave, where the wide ones are to be tried now.
+        known: what features gave for these very views: they need not be asked again.
     """
 
     purpose: Purpose
@@ -73,6 +74,12 @@ class Job:
     features: bool = True
     clicks: Clicks | None = None
     usual: PairResult | None = None
+    known: PairResult | None = None
+
+    @property
+    def wide(self) -> bool:
+        """Whether the wide sets of both views are there."""
+        return self.i.wide is not None and self.j.wide is not None
 
 
 @dataclass(frozen=True)
@@ -194,16 +201,20 @@ def run_job(job: Job) -> PairResult:
         operator = operator_start(i, j, job.clicks, job.starts)
         if operator is not None:
             starts.append(operator.start)
-    result = job.usual
-    if result is None:
-        result = align_pair(i, j, starts, job.features)
-    wide = job.features and job.i.wide is not None and job.j.wide is not None
-    if wide and not is_settled(result):
-        wide_i, wide_j = (
-            without_moving(_wide(encoded), encoded.mask) for encoded in (job.i, job.j)
-        )
-        result = align_wide(wide_i, wide_j, result, starts)
+    if job.known is not None:
+        if job.wide:
+            i, j = _both_wide(job)
+        result = align_from(i, j, starts, job.known, job.wide)
+    else:
+        result = job.usual or align_pair(i, j, starts, job.features)
+        if job.features and job.wide and not is_settled(result):
+            result = align_wide(*_both_wide(job), result, starts)
     return _finite(with_operator_fallback(result, operator, i, j))
+
+
+def _both_wide(job: Job) -> tuple[PreparedView, PreparedView]:
+    i, j = (without_moving(_wide(encoded), encoded.mask) for encoded in (job.i, job.j))
+    return i, j
 
 
 def _finite(result: PairResult) -> PairResult:
