@@ -1,8 +1,8 @@
 """The fleet's keyframes, edges and clicks as a gtsam factor graph, and what gtsam can do with it.
 
 gtsam perturbs a pose from the right, `T exp(xi)`, rotation first; here covariances belong to left
-perturbations. The adjoint turns one into the other. A click is a landmark seen by bearing and range
-from both cameras: tight across the ray, loose along it, which is how a lifted pixel is known.
+perturbations. The adjoint turns one into the other. Clicks are summed up by pair of keyframes, so
+that a thousand of them cost no more than three.
 """
 
 from collections.abc import Iterable, Sequence
@@ -13,18 +13,18 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.fleet.links import Link
-from pose_server.fleet.types import ClickFactor
-from pose_server.geometry.se3 import adjoint, inverse, transform
+from pose_server.geometry.point_pairs import PointPairs
+from pose_server.geometry.se3 import adjoint, inverse, retract
 from protocol.messages import ViewName
 
 Floats = npt.NDArray[np.floating]
 
 _GAUGE_SIGMA = 1e-6
-_LANDMARK = "l"
 _GNC_STEP = (
     1.6  # growth of the non-convexity per round; 1.4 is twice as slow and found the same outliers
 )
-_MIN_BEARING_SIGMA_RAD, _MIN_RANGE_SIGMA = 1e-5, 1e-6
+_LONGEST_TURN_RAD = 0.5  # that clicks may ask for at a time: their linearisation holds no further
+_KNOWN, _UNKNOWN = 1e-6, 1e-9  # information, as a share of that in the best known direction
 
 
 def between(link: Link) -> gtsam.NonlinearFactor:
@@ -39,35 +39,32 @@ def left_covariance(T_root_node: Floats, right_covariance: Floats) -> Floats:
     return A @ right_covariance @ A.T
 
 
-def click_factors(
-    clicks: Sequence[tuple[int, int, ClickFactor]], robust_sigmas: float
-) -> list[gtsam.NonlinearFactor]:
-    """The two sightings of each click's landmark."""
-    cauchy = gtsam.noiseModel.mEstimator.Cauchy.Create(robust_sigmas)
-    return [
-        gtsam.BearingRangeFactor3D(
-            node,
-            gtsam.symbol(_LANDMARK, k),
-            gtsam.Unit3(p),
-            float(np.linalg.norm(p)),
-            gtsam.noiseModel.Robust.Create(
-                cauchy, gtsam.noiseModel.Diagonal.Sigmas(_ray_sigmas(p, C))
-            ),
-        )
-        for k, (a, b, click) in enumerate(clicks)
-        for node, p, C in ((a, click.p_a, click.C_a), (b, click.p_b, click.C_b))
-    ]
+def click_factor(
+    a: int, b: int, clicked: PointPairs, T_a_b: Floats, robust_sigmas: float, near: bool
+) -> gtsam.NonlinearFactor | None:
+    """All clicks between two keyframes as one factor: what they say of T_a_b near a given one.
 
-
-def _ray_sigmas(p: Floats, C: Floats) -> Floats:
-    """Sigmas of bearing (two, rad) and range (m); across the ray the noise is taken as round."""
-    distance = float(np.linalg.norm(p))
-    ray = p / distance
-    along = float(ray @ C @ ray)
-    across = (float(np.trace(C)) - along) / 2 / distance**2
-    bearing = max(np.sqrt(max(across, 0.0)), _MIN_BEARING_SIGMA_RAD)
-    reach = max(np.sqrt(max(along, 0.0)), _MIN_RANGE_SIGMA * distance)
-    return np.array([bearing, bearing, reach])
+    It is the Gauss-Newton step of the clicked points and its information, which need not determine
+    all six directions. A click farther off than `robust_sigmas` counts less, and once the pose is
+    `near` what they say, hardly at all. None where they say nothing.
+    """
+    off = np.maximum(clicked.distance2(T_a_b) / robust_sigmas**2, 1.0)
+    weights = off ** (-2.0 if near else -1.0)
+    H, g = clicked.normal_equations(T_a_b, weights=weights)
+    size = max(float(np.abs(clicked.p_a).mean()), 1e-9)  # metres and radians of one scale
+    unit = np.repeat((1.0, size), 3)
+    values, vectors = np.linalg.eigh(H * np.outer(unit, unit))
+    known = values > _KNOWN * values[-1]
+    if not (np.isfinite(values).all() and known.any()):
+        return None
+    along = vectors[:, known]
+    step = unit * (along @ ((along.T @ (unit * g)) / values[known]))
+    step *= min(1.0, _LONGEST_TURN_RAD / max(float(np.linalg.norm(step[:3])), 1e-12))
+    T = retract(T_a_b, step)
+    root = np.sqrt(np.maximum(values, _UNKNOWN * values[-1]))[:, None] * (vectors / unit[:, None]).T
+    upper = np.linalg.qr(root @ adjoint(T), mode="r")  # of right perturbations
+    noise = gtsam.noiseModel.Gaussian.SqrtInformation(upper)
+    return gtsam.BetweenFactorPose3(a, b, gtsam.Pose3(T), noise)
 
 
 def prior(node: int, pose: gtsam.Pose3) -> gtsam.NonlinearFactor:
@@ -85,15 +82,11 @@ def graph_of(*groups: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorG
     return graph
 
 
-def values_of(
-    poses: Sequence[Floats], clicks: Sequence[tuple[int, int, ClickFactor]]
-) -> gtsam.Values:
-    """Start values: T_root_node per node, and each landmark where its first camera sees it."""
+def values_of(poses: Sequence[Floats]) -> gtsam.Values:
+    """Start values: T_root_node per node."""
     values = gtsam.Values()
     for k, T in enumerate(poses):
         values.insert(k, gtsam.Pose3(T))
-    for k, (a, _, click) in enumerate(clicks):
-        values.insert(gtsam.symbol(_LANDMARK, k), transform(poses[a], click.p_a[None])[0])
     return values
 
 
@@ -108,6 +101,11 @@ def poses_in(values: gtsam.Values) -> list[Floats]:
     """(4, 4) pose of each node; nodes are numbered from zero."""
     poses = gtsam.utilities.allPose3s(values)
     return [poses.atPose3(k).matrix() for k in range(poses.size())]
+
+
+def between_poses(values: gtsam.Values, a: int, b: int) -> Floats:
+    """(4, 4) T_a_b of two nodes."""
+    return values.atPose3(a).between(values.atPose3(b)).matrix()
 
 
 def distances2(factors: Sequence[gtsam.NonlinearFactor], values: gtsam.Values) -> Floats:

@@ -13,6 +13,7 @@ from pose_server.fleet.factors import between
 from pose_server.fleet.forest import Reached
 from pose_server.fleet.links import VERIFIED, Link, joins_alone, links_of
 from pose_server.fleet.types import ClickFactor, Edge, SolveSettings
+from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.se3 import inverse
 from protocol.messages import ViewName
 
@@ -60,6 +61,17 @@ class FleetInput:
         """One per link, by the number of its edge."""
         return {link.edge: between(link) for link in self.links if link.edge is not None}
 
+    @cached_property
+    def clicked(self) -> dict[tuple[int, int], tuple[PointPairs, list[int]]]:
+        """The clicked points of every pair of nodes, as the clicks name it, and their ids."""
+        by_nodes: dict[tuple[int, int], list[ClickFactor]] = {}
+        for a, b, click in self.clicks:
+            by_nodes.setdefault((a, b), []).append(click)
+        return {
+            nodes: (point_pairs(clicks), [click.id for click in clicks])
+            for nodes, clicks in by_nodes.items()
+        }
+
     def layout(self, excluded: frozenset[int], known: Known) -> Layout:
         joining = frozenset(k for k, edge in enumerate(self.edges) if joins_alone(edge))
         parts = partition(
@@ -101,6 +113,12 @@ def placed_clicks(
         return [(number[click.a], number[click.b], click) for click in clicks]
     except KeyError as error:
         raise ValueError(f"a click names {error}, which is not among the keyframes") from error
+
+
+def point_pairs(clicks: Sequence[ClickFactor]) -> PointPairs:
+    """The points of clicks that have their two keyframes in common."""
+    columns = zip(*((c.p_a, c.p_b, c.C_a, c.C_b) for c in clicks), strict=True)
+    return PointPairs(*(np.array(column) for column in columns))
 
 
 def _placed(tree: list[Reached], known: Known) -> dict[int, Floats]:

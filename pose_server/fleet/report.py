@@ -18,7 +18,6 @@ from pose_server.fleet.types import (
     NodePose,
 )
 from pose_server.geometry.noise import chi2_limit
-from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.se3 import inverse, transform
 from protocol.messages import ViewName
 
@@ -93,19 +92,20 @@ def _edges(
 
 def _clicks(state: FleetInput, layout: Layout, found: Found) -> dict[int, ClickJudgement]:
     limit = chi2_limit(1 - state.settings.inlier_probability, 3)
-    used = {click.id for _, _, click in found.clicks}
+    apart = ClickJudgement(False, float("nan"), float("nan"), False)
     judgements = {}
-    for a, b, click in state.clicks:
+    for (a, b), (clicked, ids) in state.clicked.items():
         if layout.root[a] != layout.root[b]:
-            judgements[click.id] = ClickJudgement(False, float("nan"), float("nan"), False)
+            judgements |= dict.fromkeys(ids, apart)
             continue
         T_a_b = inverse(found.poses[a]) @ found.poses[b]
-        pair = PointPairs(click.p_a[None], click.p_b[None], click.C_a[None], click.C_b[None])
-        distance2 = float(pair.distance2(T_a_b)[0])
-        residual = float(np.linalg.norm(click.p_a - transform(T_a_b, click.p_b[None])[0]))
-        judgements[click.id] = ClickJudgement(
-            click.id in used, residual, distance2, distance2 > limit
-        )
+        distances2 = clicked.distance2(T_a_b)
+        residuals = np.linalg.norm(clicked.p_a - transform(T_a_b, clicked.p_b), axis=1)
+        used = (a, b) in found.clicks
+        for number, residual, distance2 in zip(ids, residuals, distances2, strict=True):
+            judgements[number] = ClickJudgement(
+                used, float(residual), float(distance2), bool(distance2 > limit)
+            )
     return judgements
 
 
@@ -123,7 +123,7 @@ def _uncertainty(
     graphs = {root: gtsam.NonlinearFactorGraph() for root in asked}
     for k in range(found.fit.graph.size()):
         factor = found.fit.graph.at(k)
-        root = layout.root[factor.keys()[0]]  # a click's first key is its camera, too
+        root = layout.root[factor.keys()[0]]
         if root in graphs:
             graphs[root].push_back(factor)
     marginals = {

@@ -5,7 +5,7 @@ each other, new ones that a redundant graph outvotes are set aside at once; else
 against each other from scratch.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,13 +17,15 @@ from pose_server.fleet import factors as gt
 from pose_server.fleet.forest import Forest, Reached, Sets, without_bridges
 from pose_server.fleet.layout import FleetInput, Layout
 from pose_server.fleet.links import CONTESTED, VERIFIED, Link
-from pose_server.fleet.types import ClickFactor
 from pose_server.geometry.noise import chi2_limit
+from pose_server.geometry.se3 import inverse, rotation_angle
 
 Floats = npt.NDArray[np.floating]
 Bools = npt.NDArray[np.bool_]
 
 _ROUNDS = 3  # of dropping edges at the border and taking back those that fit
+_CLICK_ROUNDS = 5  # of asking clicks again from where they led to
+_CLICK_SHARE = 0.02  # of how far agreeing edges may differ: what poses may move without asking
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +51,14 @@ class Found:
     Attributes:
         fit: the poses and outliers that fit each other.
         links: all links with both ends in one component, as `fit` orders them.
-        clicks: what was a factor of its own: two nodes and the click.
+        clicks: numbers of the two nodes whose clicks were a factor of their own.
         judged: whether all edges were weighed against each other.
         outvoted: how many were set aside without that since the last time.
     """
 
     fit: Fit
     links: list[Link]
-    clicks: list[tuple[int, int, ClickFactor]]
+    clicks: frozenset[tuple[int, int]]
     judged: bool
     outvoted: int
 
@@ -121,21 +123,18 @@ class _Problem:
             for link in state.links
             if link.edge is not None and state.edges[link.edge].operator
         }
-        self._clicks = [
-            (a, b, click)
-            for a, b, click in state.clicks
+        self._clicked = {
+            (a, b): clicked
+            for (a, b), (clicked, _) in state.clicked.items()
             if root[a] == root[b] and frozenset((a, b)) not in merged
-        ]
+        }
         edges = [state.edges[link.edge] for link in self.links if link.edge is not None]
         self._certain = np.array(
             [edge.kind == "odometry" and edge.verdict == "verified" for edge in edges], bool
         )
         self._factors = [state.factors[link.edge] for link in self.links if link.edge is not None]
-        self._always = [
-            *(gt.prior(tree[0].node, gtsam.Pose3()) for tree in layout.trees),
-            *gt.click_factors(self._clicks, state.settings.click_robust_sigmas),
-        ]
-        self._start = gt.values_of(layout.start, self._clicks)
+        self._always = [gt.prior(tree[0].node, gtsam.Pose3()) for tree in layout.trees]
+        self._start = gt.values_of(layout.start)
         self._n = len(state.nodes)
         self._limit = chi2_limit(1 - state.settings.inlier_probability, 6)
 
@@ -186,13 +185,42 @@ class _Problem:
         return agreeing
 
     def found(self, fit: Fit, judged: bool, outvoted: int) -> Found:
-        return Found(fit, self.links, self._clicks, judged, outvoted)
+        return Found(fit, self.links, frozenset(self._clicked), judged, outvoted)
 
     def _least_squares(self, out: Bools, start: gtsam.Values) -> Fit:
-        kept = (factor for factor, drop in zip(self._factors, out, strict=True) if not drop)
-        graph = gt.graph_of(self._always, kept)
-        values = gt.least_squares(graph, start)
+        kept = [factor for factor, drop in zip(self._factors, out, strict=True) if not drop]
+        graph, values = self._with_clicks(kept, start, near=False), start
+        for k in range(_CLICK_ROUNDS):
+            values = gt.least_squares(graph, values)
+            if not self._clicked or (k and self._fits_clicks(start, values)):
+                break
+            start = values
+            graph = self._with_clicks(kept, start, near=True)  # they say something else from there
         return Fit(out, graph, values, gt.distances2(self._factors, values))
+
+    def _with_clicks(
+        self, kept: Sequence[gtsam.NonlinearFactor], at: gtsam.Values, near: bool
+    ) -> gtsam.NonlinearFactorGraph:
+        """The problem, with what clicks say at given poses."""
+        robust = self._settings.click_robust_sigmas
+        by_clicks = (
+            gt.click_factor(a, b, clicked, gt.between_poses(at, a, b), robust, near)
+            for (a, b), clicked in self._clicked.items()
+        )
+        told = (factor for factor in by_clicks if factor is not None)
+        return gt.graph_of(self._always, kept, told)
+
+    def _fits_clicks(self, before: gtsam.Values, after: gtsam.Values) -> bool:
+        """Whether no clicked pair of keyframes moved so far that its clicks would say more."""
+        settings = self._settings
+        for a, b in self._clicked:
+            change = gt.between_poses(before, a, b) @ inverse(gt.between_poses(after, a, b))
+            if (
+                rotation_angle(change[:3, :3]) > _CLICK_SHARE * settings.agree_rotation_rad
+                or np.linalg.norm(change[:3, 3]) > _CLICK_SHARE * settings.agree_translation_m
+            ):
+                return False
+        return True
 
 
 def contested_edges(layout: Layout, found: Found) -> frozenset[int]:

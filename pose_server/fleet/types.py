@@ -75,7 +75,7 @@ class SolveSettings:
         distinct_m: two edges are different evidence only if a camera of one stands this far from
             the other's, or is another robot's: a robot that stands still repeats its mistakes.
         inlier_probability: share of right edges that pass the test against outliers.
-        click_robust_sigmas: from where on a click counts less (Cauchy).
+        click_robust_sigmas: from where on a click counts less.
         outvoted_limit: so many new edges may be set aside as outvoted before all edges are judged
             anew.
     """
@@ -86,7 +86,7 @@ class SolveSettings:
     agree_translation_m: float = 0.1
     distinct_m: float = 0.1
     inlier_probability: float = 0.999
-    click_robust_sigmas: float = 3.0
+    click_robust_sigmas: float = 4.0
     outvoted_limit: int = 8
 
     @classmethod

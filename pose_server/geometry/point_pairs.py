@@ -57,18 +57,25 @@ class PointPairs:
             DegenerateGeometryError: the points (and gravity) do not determine a pose.
         """
         for _ in range(_ITERATIONS):
-            H, g = self._normal_equations(T_a_b, gravity)
+            H, g = self.normal_equations(T_a_b, gravity)
             step = self._inverse(H) @ g
             turn = float(np.linalg.norm(step[:3]))
             T_a_b = retract(T_a_b, step * min(1.0, _LONGEST_TURN_RAD / max(turn, 1e-12)))
             if float(step @ g) < _SETTLED_SIGMAS**2:
                 break
-        H, _ = self._normal_equations(T_a_b, gravity)
+        H, _ = self.normal_equations(T_a_b, gravity)
         return T_a_b, self._inverse(H)
 
-    def _normal_equations(self, T_a_b: Floats, gravity: Gravity | None) -> tuple[Floats, Floats]:
+    def normal_equations(
+        self, T_a_b: Floats, gravity: Gravity | None = None, weights: Floats | None = None
+    ) -> tuple[Floats, Floats]:
+        """H (6, 6) and g (6,) of Gauss-Newton at a pose: its left increment is H^-1 g. The pairs
+        may have weights (N,).
+        """
         J = self._jacobian(T_a_b)
         WJ = np.linalg.solve(self._joint(T_a_b), J)
+        if weights is not None:
+            WJ *= weights[:, None, None]
         e = self.p_a - transform(T_a_b, self.p_b)
         H, g = np.einsum("nki,nkj->ij", J, WJ), np.einsum("nki,nk->i", WJ, e)
         if gravity is not None:

@@ -97,7 +97,7 @@ def test_covariance_is_only_made_for_the_nodes_asked_for():
 
 def test_undetermined_graph_gives_a_reason_instead_of_a_covariance():
     graph = factors.graph_of([factors.between(link(0, 1, np.eye(4), np.eye(6), 2))])
-    values = factors.values_of([np.eye(4), np.eye(4)], [])
+    values = factors.values_of([np.eye(4), np.eye(4)])
     reason = factors.marginals_or_reason(graph, values)
     assert isinstance(reason, str) and "do not determine" in reason
 
