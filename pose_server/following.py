@@ -17,7 +17,8 @@ from pose_server.site import Robot, Site, ViewPair
 from pose_server.views import STILL_PX, KeptView, stands_still
 from protocol.messages import ViewName
 
-MAX_KEYFRAMES = 40
+MOST_KEYFRAMES, LEAST_KEYFRAMES = 40, 6  # of a robot, in a small and in a large fleet
+FLEET_KEYFRAMES = 500  # of all robots together: what a solve in a fraction of a second allows
 
 
 def newest_arrived(site: Site, robot: Robot, view: KeptView) -> None:
@@ -115,7 +116,8 @@ def new_keyframe(site: Site, robot: Robot, view: ViewName) -> None:
         )
     note_keyframe(site, view)
     site.dirty = True
-    if len(robot.track.keyframes) > MAX_KEYFRAMES:
+    share = FLEET_KEYFRAMES // max(len(site.robots), 1)
+    if len(robot.track.keyframes) > min(max(share, LEAST_KEYFRAMES), MOST_KEYFRAMES):
         _drop_keyframe(site, robot)
 
 

@@ -17,19 +17,21 @@ from pose_server.correspondences.book import Outcome
 from pose_server.fleet.graph import solve_fleet
 from pose_server.fleet.types import Edge, SolveSettings
 from pose_server.following import back_job, followed, look_back, newest_arrived, track_job
+from pose_server.frames import on_keyframes
 from pose_server.pairs import agenda
 from pose_server.pairs.align import is_settled
 from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.refining import Start
 from pose_server.pairs.tracking import Attached, accepted
-from pose_server.site import PairRecord, RobotPair, Site, on_keyframes
+from pose_server.site import PairRecord, RobotPair, Site
 from pose_server.views import KeptView
 from pose_server.widening import note_open, wide_job
 from protocol.errors import CodecError
 from protocol.keys import ordered_pair
 from protocol.messages import OperatorUpdate, Selection, ViewName
 
+_COVARIANCES_AT_ONCE = 24  # made anew in a solve
 _SHARES = {"track": 4.0, "pair": 4.0, "wide": 2.0}  # of the robots' own work
 
 
@@ -150,7 +152,6 @@ def solve(site: Site, now_s: float) -> None:
         for name, robot in site.robots.items()
         if robot.track.keyframes
     }
-    wanted = {robot.track.newest.keyframe for robot in site.robots.values() if robot.track.newest}
     site.solution = solve_fleet(
         nodes,
         list(site.edges.values()),
@@ -159,7 +160,7 @@ def solve(site: Site, now_s: float) -> None:
         newest=first,
         previous=site.solution,
         settings=_settings(site, nodes),
-        wanted=wanted,
+        wanted=_covariances_due(site),
     )
     site.dirty = False
     site.count("solves")
@@ -204,6 +205,21 @@ def restore(site: Site, clicked_views: Sequence[KeptView]) -> None:
     for pair in site.book.pairs():
         site.pair(*pair).clicks_due = True
     site.dirty = bool(clicked_views)
+
+
+def _covariances_due(site: Site) -> set[ViewName]:
+    """Keyframes that robots hang on and of which no covariance is known, and those of which it is
+    oldest: each costs milliseconds in a large fleet.
+    """
+    here = {robot.track.newest.keyframe for robot in site.robots.values() if robot.track.newest}
+    known = {} if site.solution is None else site.solution.nodes
+    solve = site.counts.get("solves", 0)
+    asked = {view: at for view, at in site.covariances.items() if view in here}
+    new = {view for view in here if view not in known or known[view].covariance is None}
+    oldest = sorted(here - new, key=lambda view: asked.get(view, -1))[:_COVARIANCES_AT_ONCE]
+    due = new.union(oldest)
+    site.covariances = asked | dict.fromkeys(due, solve)
+    return due
 
 
 def _settings(site: Site, nodes: Sequence[ViewName]) -> SolveSettings:

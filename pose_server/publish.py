@@ -5,12 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pose_server.frames import body_pose, in_fleet, position_sigma
 from pose_server.geometry.se3 import inverse, rotation_angle
 from pose_server.matrix import pair_cells
 from pose_server.pairs.judging import PairResult
 from pose_server.questions import questions
 from pose_server.settings import ServerSettings
-from pose_server.site import Robot, Site, body_pose, in_fleet, position_sigma
+from pose_server.site import Robot, Site
 from protocol.messages import (
     Alignment,
     FleetState,

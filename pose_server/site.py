@@ -11,15 +11,8 @@ import numpy.typing as npt
 from pose_server.calibration.memory import Memory
 from pose_server.correspondences.book import Book
 from pose_server.fleet.types import Edge, EdgeKey, FleetSolution, NodePose
-from pose_server.geometry.se3 import (
-    adjoint,
-    compose_covariance,
-    exp_so3,
-    inverse,
-    invert_covariance,
-    make_pose,
-    position_covariance,
-)
+from pose_server.frames import upright
+from pose_server.geometry.se3 import compose_covariance, inverse
 from pose_server.lifting import Lifter
 from pose_server.pairs.agenda import Agenda
 from pose_server.pairs.engine import EncodedView
@@ -139,6 +132,7 @@ class Site:
         kinds: of work of which each has its share.
         partners: of each robot, those of which a pair record is there.
         touched: robots of pairs that were aligned and not told of since.
+        covariances: the solve in which that of a keyframe was made last.
         cells: of the error matrix as they were told last, and what they were made of.
         depth_m: median over the keyframes.
         held_back: the newest view of each name whose token was not seen yet.
@@ -166,6 +160,7 @@ class Site:
     partners: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     touched: set[str] = field(default_factory=set)
     cells: dict[RobotPair, tuple[object, PairCell]] = field(default_factory=dict)
+    covariances: dict[ViewName, int] = field(default_factory=dict)
     events: list[str] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     gauge: ViewName | None = None
@@ -346,7 +341,7 @@ class Site:
         T_robot_camera = kept.camera.T_robot_camera
         if kept.up_camera is None:
             return T_robot_camera
-        return _upright(T_robot_camera[:3, :3] @ kept.up_camera) @ T_robot_camera
+        return upright(T_robot_camera[:3, :3] @ kept.up_camera) @ T_robot_camera
 
     def link(self, edge: Edge) -> None:
         """Adds or replaces a link between two keyframes."""
@@ -360,40 +355,3 @@ class Site:
         if self.edges.pop(key, None) is not None:
             self._edge_counts[ordered_pair(key[0].robot, key[1].robot)] -= 1
             self.dirty = True
-
-
-def on_keyframes(result: PairResult, i: Attached, j: Attached) -> tuple[Floats, Floats]:
-    """An alignment of two views as one of the keyframes they hang on: T_keyframe_i_keyframe_j and
-    its covariance.
-    """
-    assert result.T_i_j is not None and result.covariance is not None
-    T, C = (
-        i.T_keyframe_view @ result.T_i_j,
-        compose_covariance(i.T_keyframe_view, i.covariance, result.covariance),
-    )
-    back = inverse(j.T_keyframe_view)
-    return T @ back, compose_covariance(T, C, invert_covariance(j.T_keyframe_view, j.covariance))
-
-
-def body_pose(T_fleet_root: Floats, T_root_camera: Floats, T_robot_camera: Floats) -> Floats:
-    """T_fleet_robot."""
-    return T_fleet_root @ T_root_camera @ inverse(T_robot_camera)
-
-
-def in_fleet(T_fleet_root: Floats, covariance: Floats) -> Floats:
-    """A covariance of left perturbations in the root's frame, in the fleet's."""
-    A = adjoint(T_fleet_root)
-    return A @ covariance @ A.T
-
-
-def position_sigma(T: Floats, covariance: Floats) -> float:
-    """Sigma of the weakest position direction, metres."""
-    return float(np.sqrt(max(np.linalg.eigvalsh(position_covariance(T, covariance))[-1], 0.0)))
-
-
-def _upright(up: Floats) -> Floats:
-    """The smallest turn that brings a direction of the body frame to its z axis."""
-    axis = np.cross(up, [0.0, 0.0, 1.0])
-    sine, cosine = float(np.linalg.norm(axis)), float(up[2])
-    angle = np.arctan2(sine, cosine)
-    return make_pose(exp_so3(axis / sine * angle) if sine > 1e-9 else np.eye(3), np.zeros(3))

@@ -38,7 +38,8 @@ def solve_fleet(
             first robot by name.
         previous: the last solution, to start from.
         settings: noise floors and tolerances.
-        wanted: keyframes whose covariance is wanted; default: the newest ones.
+        wanted: keyframes whose covariance is wanted, default: the newest ones; others keep what
+            they had in the last solution.
 
     Raises:
         ValueError: an edge or click names a keyframe that is not among the nodes, or an edge is
@@ -66,7 +67,7 @@ def solve_fleet(
         found = settle(state, layout, excluded, frozenset(), found.outvoted)
         judged |= found.judged
     asked = set(newest.values() if wanted is None else wanted)
-    return solution_of(state, layout, found, asked & set(number), judged)
+    return solution_of(state, layout, found, asked & set(number), judged, previous)
 
 
 def _known_poses(

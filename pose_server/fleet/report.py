@@ -23,13 +23,18 @@ from protocol.messages import ViewName
 
 
 def solution_of(
-    state: FleetInput, layout: Layout, found: Found, wanted: set[ViewName], judged: bool
+    state: FleetInput,
+    layout: Layout,
+    found: Found,
+    wanted: set[ViewName],
+    judged: bool,
+    previous: FleetSolution | None,
 ) -> FleetSolution:
-    """The solution, with covariances of the wanted nodes."""
+    """The solution, with covariances of the wanted nodes; others keep those of an earlier one."""
     contested = contested_edges(layout, found)
     uncertainty = _uncertainty(state, layout, found, wanted)
     return FleetSolution(
-        _nodes(state, layout, found, contested, uncertainty, wanted),
+        _nodes(state, layout, found, contested, uncertainty, wanted, previous),
         _components(state, layout),
         _edges(state, found, contested),
         _clicks(state, layout, found),
@@ -47,6 +52,7 @@ def _nodes(
     contested: frozenset[int],
     uncertainty: gt.Uncertainty,
     wanted: set[ViewName],
+    previous: FleetSolution | None,
 ) -> dict[ViewName, NodePose]:
     poses: dict[ViewName, NodePose] = {}
     ranks: dict[int, int] = {}
@@ -58,10 +64,14 @@ def _nodes(
             else:
                 own = CONTESTED if link.edge in contested else link.rank
                 ranks[r.node] = min(ranks[link.a], own)
+            root = state.nodes[tree[0].node]
             covariance, why = uncertainty.of(node) if node in wanted else (None, "not asked for")
+            earlier = None if previous is None or node in wanted else previous.nodes.get(node)
+            if earlier is not None and earlier.root == root:
+                covariance, why = earlier.covariance, earlier.why_no_covariance
             poses[node] = NodePose(
                 found.poses[r.node],
-                state.nodes[tree[0].node],
+                root,
                 VERDICT_OF_RANK[ranks[r.node]],
                 None if link is None else state.nodes[link.a],
                 covariance,

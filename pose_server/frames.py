@@ -1,0 +1,55 @@
+"""From views to keyframes, from cameras to bodies, from a component's root to the fleet's frame."""
+
+import numpy as np
+import numpy.typing as npt
+
+from pose_server.geometry.se3 import (
+    adjoint,
+    compose_covariance,
+    exp_so3,
+    inverse,
+    invert_covariance,
+    make_pose,
+    position_covariance,
+)
+from pose_server.pairs.judging import PairResult
+from pose_server.pairs.tracking import Attached
+
+Floats = npt.NDArray[np.floating]
+
+
+def on_keyframes(result: PairResult, i: Attached, j: Attached) -> tuple[Floats, Floats]:
+    """An alignment of two views as one of the keyframes they hang on: T_keyframe_i_keyframe_j and
+    its covariance.
+    """
+    assert result.T_i_j is not None and result.covariance is not None
+    T, C = (
+        i.T_keyframe_view @ result.T_i_j,
+        compose_covariance(i.T_keyframe_view, i.covariance, result.covariance),
+    )
+    back = inverse(j.T_keyframe_view)
+    return T @ back, compose_covariance(T, C, invert_covariance(j.T_keyframe_view, j.covariance))
+
+
+def body_pose(T_fleet_root: Floats, T_root_camera: Floats, T_robot_camera: Floats) -> Floats:
+    """T_fleet_robot."""
+    return T_fleet_root @ T_root_camera @ inverse(T_robot_camera)
+
+
+def in_fleet(T_fleet_root: Floats, covariance: Floats) -> Floats:
+    """A covariance of left perturbations in the root's frame, in the fleet's."""
+    A = adjoint(T_fleet_root)
+    return A @ covariance @ A.T
+
+
+def position_sigma(T: Floats, covariance: Floats) -> float:
+    """Sigma of the weakest position direction, metres."""
+    return float(np.sqrt(max(np.linalg.eigvalsh(position_covariance(T, covariance))[-1], 0.0)))
+
+
+def upright(up: Floats) -> Floats:
+    """The smallest turn that brings a direction of the body frame to its z axis."""
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    sine, cosine = float(np.linalg.norm(axis)), float(up[2])
+    angle = np.arctan2(sine, cosine)
+    return make_pose(exp_so3(axis / sine * angle) if sine > 1e-9 else np.eye(3), np.zeros(3))
