@@ -234,6 +234,31 @@ def fleet(
 
 
 @app.command()
+def solve(
+    out: Out,
+    robots: Annotated[int, typer.Option(min=2, help="How many.")] = 72,
+    edges: Annotated[int, typer.Option(min=1, help="Alignments between them.")] = 400,
+    wrong: Annotated[float, typer.Option(min=0, max=0.9, help="Share that is wrong.")] = 0.3,
+    seed: Annotated[int, typer.Option(help="Of the fleet.")] = 0,
+    g2o: Annotated[
+        Path | None, typer.Option(help="A recorded pose graph instead: a file, or a folder.")
+    ] = None,
+) -> None:
+    """Solve a fleet's pose graph, without cameras or a network: how fast, and does it find the
+    wrong edges.
+
+    Half of the edges are there at first, the others come one by one. Robots are joined by a tree
+    of right edges; wrong ones are as sure of themselves as the right ones.
+    """
+    from evaluation import solve as solving
+
+    if g2o is not None:
+        solving.run_recorded(g2o, out)
+    else:
+        solving.run(robots, edges, wrong, out, seed)
+
+
+@app.command()
 def faults(
     out: Out,
     kills: Annotated[

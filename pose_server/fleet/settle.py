@@ -5,6 +5,7 @@ each other, new ones that a redundant graph outvotes are set aside at once; else
 against each other from scratch.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,6 +25,7 @@ Floats = npt.NDArray[np.floating]
 Bools = npt.NDArray[np.bool_]
 
 _ROUNDS = 3  # of dropping edges at the border and taking back those that fit
+_OUTVOTED_ONE_IN = 16  # of the links may be set aside until all are weighed again
 _CLICK_ROUNDS = 5  # of asking clicks again from where they led to
 _CLICK_SHARE = 0.02  # of how far agreeing edges may differ: what poses may move without asking
 
@@ -98,17 +100,19 @@ def settle(
     if not problem.violations(fit).any():
         return problem.found(fit, False, outvoted)
     new = np.array([link.edge in fresh for link in problem.links], bool) & problem.beyond_at_start()
-    if new.any() and outvoted + new.sum() <= state.settings.outvoted_limit:
+    most = max(state.settings.outvoted_limit, len(problem.links) // _OUTVOTED_ONE_IN)
+    periodic = outvoted + int(new.sum()) > most
+    if new.any() and not periodic:
         fit = problem.solve(out | new)
-        if not problem.violations(fit).any() and _outvotes(layout, problem.links, fit.out, new):
+        if not problem.violations(fit).any() and _outvoted(layout, problem.links, fit.out, new):
             return problem.found(fit, False, outvoted + int(new.sum()))
-    fit = problem.solve(problem.judged())
+    fit = problem.solve(problem.judged(np.zeros_like(out) if periodic else out))
     for _ in range(_ROUNDS):
         violations = problem.violations(fit)
         if not violations.any():
             break
         fit = problem.solve(fit.out | violations)
-    return problem.found(fit, True, 0)
+    return problem.found(fit, True, 0 if periodic else outvoted)
 
 
 class _Problem:
@@ -156,14 +160,16 @@ class _Problem:
         """Links that don't fit the start values."""
         return gt.distances2(self._factors, self._start) > self._limit
 
-    def judged(self) -> Bools:
-        """Outliers by graduated non-convexity: the verified links among themselves, then the
-        others against what these hold together. Aliases of a repeated structure agree with each
-        other, so a majority of plausible links proves nothing against a verified one.
+    def judged(self, aside: Bools) -> Bools:
+        """Outliers by graduated non-convexity, those set aside left out of it: the verified links
+        among themselves, then the others against what these hold together. Aliases of a repeated
+        structure agree with each other, so a majority of plausible links proves nothing against a
+        verified one.
         """
         verified = np.array([link.rank >= VERIFIED for link in self.links], bool)
-        trusted = self._agreeing(verified, self._certain)
-        return ~self._agreeing(trusted | ~verified, trusted) & ~self._certain
+        asked = ~aside | self._certain
+        trusted = self._agreeing(verified & asked, self._certain)
+        return ~self._agreeing((trusted | ~verified) & asked, trusted) & ~self._certain
 
     def _agreeing(self, asked: Bools, known: Bools) -> Bools:
         """(M,) which of the asked links belong together; the known ones are not in question."""
@@ -238,13 +244,27 @@ def contested_edges(layout: Layout, found: Found) -> frozenset[int]:
     return frozenset(contested)
 
 
-def _outvotes(layout: Layout, links: list[Link], out: Bools, new: Bools) -> bool:
-    """Whether the new links left out contradict parts that links of no lower rank hold together
-    without any single one.
+def _outvoted(layout: Layout, links: list[Link], out: Bools, new: Bools) -> bool:
+    """Whether the new links left out may stay so without weighing all: they contradict parts that
+    links of no lower rank hold together without any single one, or a single one that nothing else
+    contradicts. There it is one against one, and weighing could not tell which is right.
     """
     aside = [link for link, is_out in zip(links, out & new, strict=True) if is_out]
-    firm = {rank: _firm(layout, links, out, rank) for rank in {link.rank for link in aside}}
-    return all(firm[k.rank].find(k.a) == firm[k.rank].find(k.b) for k in aside)
+    against = [link for link, is_out in zip(links, out, strict=True) if is_out]
+    reached = {r.node: r for tree in layout.trees for r in tree}
+    for rank in {link.rank for link in aside}:
+        firm = _firm(layout, links, out, rank)
+        doubted = Counter(
+            step.edge
+            for link in against
+            for step in _path(reached, link.a, link.b)
+            if firm.find(step.a) != firm.find(step.b)
+        )
+        for link in aside:
+            steps = _path(reached, link.a, link.b) if link.rank == rank else ()
+            if any(doubted[s.edge] > 1 for s in steps if firm.find(s.a) != firm.find(s.b)):
+                return False
+    return True
 
 
 def _firm(layout: Layout, links: list[Link], out: Bools, rank: int = CONTESTED) -> Sets:
