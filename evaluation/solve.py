@@ -91,7 +91,8 @@ def make_up(robots: int, count: int, wrong_share: float, rng: np.random.Generato
     nodes = [ViewName(robot=f"r{k}", epoch=EPOCH, seq=0) for k in range(robots)]
     places = rng.uniform(-1, 1, (robots, 3)) * (AREA_M / 2, AREA_M / 2, HEIGHT_M / 2)
     truth: list[Floats] = [
-        make_pose(exp_so3(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)])), t) for t in places
+        np.asarray(make_pose(exp_so3(np.array([0.0, 0.0, turn])), t), np.float64)
+        for t, turn in zip(places, rng.uniform(-np.pi, np.pi, robots), strict=True)
     ]
     pairs = _tree(places) + _near_pairs(places, rng)
     pairs = list(dict.fromkeys(pairs))[:count]
