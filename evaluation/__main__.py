@@ -212,7 +212,13 @@ def fleet(
     skip_pairs: Annotated[
         Path | None, typer.Option(help="Lines 'r1 r2': pairs left to the operator.")
     ] = None,
+    cluster: Annotated[
+        str | None, typer.Option(help="Dask scheduler that the server aligns on.")
+    ] = None,
     clicks_per_minute: Annotated[float, typer.Option(min=0, help="Simulated operator.")] = 0.0,
+    clicks_on_skipped: Annotated[
+        int, typer.Option(min=0, help="The operator clicks so many points on each skipped pair.")
+    ] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Alignment processes.")] = 2,
     moving: Annotated[bool, typer.Option("--moving", help="Synthetic robots walk.")] = False,
 ) -> None:
@@ -226,7 +232,9 @@ def fleet(
         clouds=clouds.value if clouds else None,
         first=first,
         skip_pairs=skip_pairs,
+        cluster=cluster,
         clicks_per_minute=clicks_per_minute,
+        clicks_on_skipped=clicks_on_skipped,
         workers=workers,
         moving=moving,
     )

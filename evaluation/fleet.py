@@ -30,6 +30,7 @@ MOST_AGENTS = (
     16  # beyond, views are encoded beforehand and replayed, so that the server is measured
 )
 LOAD = "load"
+ERRAND_RATE = 30.0  # clicks per minute on pairs that are skipped otherwise
 STARTED_WITHIN_S = 120.0
 
 
@@ -79,7 +80,9 @@ class FleetOptions:
     first: int = 0
     skip_pairs: Path | None = None
     clicks_per_minute: float = 0.0
+    clicks_on_skipped: int = 0
     workers: int = 2
+    cluster: str | None = None
     moving: bool = False
     seed: int = 0
 
@@ -109,16 +112,15 @@ def run(options: FleetOptions, out: Path) -> dict[str, Any]:
         plan = plan_fleet(options, Path(scratch))
         skip = named_skip_pairs(options.skip_pairs, plan.names, Path(scratch))
         with LocalFleet(out / "logs") as fleet:
-            start(fleet, plan, options.workers, Path(scratch) / "state", skip)
+            state = Path(scratch) / "state"
+            start(fleet, plan, options.workers, state, skip, options.cluster)
             link = open_link(fleet)
             observer = Observer(link, Keys(fleet.site))
             operator = None
             try:
                 started_s = wait_started(fleet, observer, len(plan.robots))
-                if options.clicks_per_minute > 0:
-                    operator = SimulatedOperator(
-                        link, Keys(fleet.site), observer, plan.truth, options.clicks_per_minute
-                    )
+                operator = _operator(options, link, Keys(fleet.site), observer, plan, skip)
+                if operator is not None:
                     operator.start()
                 _watch(fleet, observer, plan, started_s, options.seconds, watch)
             finally:
@@ -138,6 +140,24 @@ def run(options: FleetOptions, out: Path) -> dict[str, Any]:
             leftover_processes=fleet.leftover_processes(),
         )
     return write_results(out, result)
+
+
+def _operator(
+    options: FleetOptions,
+    link: Link,
+    keys: Keys,
+    observer: Observer,
+    plan: FleetPlan,
+    skip: Path | None,
+) -> SimulatedOperator | None:
+    """Who clicks at a steady rate, or so many points on each skipped pair and no more."""
+    if options.clicks_on_skipped and skip is not None:
+        pairs = [tuple(sorted(line.split())) for line in skip.read_text().splitlines()]
+        errands = dict.fromkeys(pairs, options.clicks_on_skipped)
+        return SimulatedOperator(link, keys, observer, plan.truth, ERRAND_RATE, errands=errands)
+    if options.clicks_per_minute > 0:
+        return SimulatedOperator(link, keys, observer, plan.truth, options.clicks_per_minute)
+    return None
 
 
 def plan_fleet(options: FleetOptions, scratch: Path) -> FleetPlan:
@@ -227,14 +247,20 @@ def named_skip_pairs(path: Path | None, names: Sequence[str], scratch: Path) -> 
 
 
 def start(
-    fleet: LocalFleet, plan: FleetPlan, workers: int, state: Path, skip_pairs: Path | None = None
+    fleet: LocalFleet,
+    plan: FleetPlan,
+    workers: int,
+    state: Path,
+    skip_pairs: Path | None = None,
+    cluster: str | None = None,
 ) -> None:
     """Starts router, world, server and robots."""
     fleet.start_router()
     if plan.world:
         fleet.start("world", "evaluation", *plan.world)
     skip = () if skip_pairs is None else ("--skip-pairs", str(skip_pairs))
-    fleet.start_server("--workers", str(workers), *skip, state=state)
+    elsewhere = () if cluster is None else ("--cluster", cluster)
+    fleet.start_server("--workers", str(workers), *elsewhere, *skip, state=state)
     if isinstance(plan.truth, WorldTruth):
         _wait_for_world(fleet, plan.truth)
     if plan.replayed:

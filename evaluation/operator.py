@@ -3,7 +3,8 @@
 import random
 import threading
 import time
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -21,6 +22,7 @@ from protocol.transport import Link, Sample
 
 CLICK_SIGMA_PX = 1.5
 REPEAT_S = 1.0
+ERRAND_POINTS = 200  # that two views have in common, for an errand to be worth while
 GIVE_UP_S = 30.0
 _VISIBLE_TOLERANCE_M = 0.02
 _VISIBLE_TOLERANCE_PER_Z = 0.02
@@ -144,6 +146,7 @@ class SimulatedOperator:
         eyes: the truth.
         clicks_per_minute: how fast it clicks.
         only_asked: click nothing that the server did not ask for.
+        errands: click so many points on each of these pairs (i < j) and nothing else.
     """
 
     def __init__(
@@ -155,10 +158,12 @@ class SimulatedOperator:
         clicks_per_minute: float,
         only_asked: bool = False,
         seed: int = 0,
+        errands: Mapping[tuple[str, ...], int] | None = None,
     ) -> None:
         self._observer, self._eyes = observer, eyes
         self._period_s = 60.0 / clicks_per_minute
         self._only_asked = only_asked
+        self._errands = None if errands is None else Counter(dict(errands))
         self._rng = np.random.default_rng(seed)
         self._chance = random.Random(seed)
         self._outbox = Outbox("op-simulated")
@@ -231,10 +236,15 @@ class SimulatedOperator:
         """Three clicks for the first question that has an answer, or for a pair by chance."""
         for i, j in self._candidates():
             sizes = [(seen.view.camera.width, seen.view.camera.height) for seen in (i, j)]
-            clicks = draw_clicks(
-                self._eyes.correspondences(i, j), 3, self._rng, (sizes[0], sizes[1])
-            )
+            pair = (i.view.name.robot, j.view.name.robot)
+            most = 3 if self._errands is None else self._errands[pair]
+            seen = self._eyes.correspondences(i, j)
+            if self._errands is not None and len(seen[0]) < ERRAND_POINTS:
+                continue  # they will see more of the same
+            clicks = draw_clicks(seen, most, self._rng, (sizes[0], sizes[1]))
             if clicks:
+                if self._errands is not None:
+                    self._errands[pair] -= len(clicks)
                 return [(i, j, click) for click in clicks]
         return []
 
@@ -243,6 +253,10 @@ class SimulatedOperator:
         if state is None:
             return []
         view = self._observer.view
+        if self._errands is not None:
+            open_pairs = [pair for pair, left in self._errands.items() if left > 0]
+            newest = [tuple(map(self._observer.newest_view, pair)) for pair in open_pairs]
+            return [(i, j) for i, j in newest if i is not None and j is not None]
         asked = [(view(q.view_i), view(q.view_j)) for q in state.questions]
         found = [(i, j) for i, j in asked if i is not None and j is not None]
         if found or self._only_asked:
@@ -267,6 +281,8 @@ class SimulatedOperator:
     def _finish(self, update: OperatorUpdate, reason: str | None, receipted_s: float) -> None:
         if reason is not None:
             self.rejected.append(reason)
+            if self._errands is not None:
+                self._errands[update.i, update.j] += 1
             self._in_flight = [sent for sent in self._in_flight if sent.update.n != update.n]
         for sent in self._in_flight:
             if sent.update.n == update.n:

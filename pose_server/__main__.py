@@ -31,6 +31,9 @@ def run(
     ] = None,
     state_dir: Annotated[Path | None, typer.Option(help="Folder of the journal.")] = None,
     workers: Annotated[int | None, typer.Option(help="Alignment processes.")] = None,
+    cluster: Annotated[
+        str | None, typer.Option(help="Dask scheduler to align on, e.g. tcp://10.0.0.1:8786.")
+    ] = None,
     skip_pairs: Annotated[
         Path | None, typer.Option(help="Lines 'r1 r2': pairs left to the operator.")
     ] = None,

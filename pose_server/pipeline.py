@@ -2,7 +2,7 @@
 
 A view: `receive_view` -> `next_job` (follow it on its robot's keyframes, then the most promising
 pair) ~~ a worker aligns ~~ `take_result` -> `solve`. A click: `receive_update` (validated, lifted,
-journalled) -> `next_job` (first in line) ~~ a worker aligns ~~ `take_result` -> `solve`. The shell
+journalled) -> `urgent_job` ~~ a worker kept for it aligns ~~ `take_result` -> `solve`. The shell
 publishes what changed.
 """
 
@@ -117,20 +117,19 @@ def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
     return outcomes
 
 
-def next_job(site: Site, now_s: float) -> Job | None:
-    """What to align next: what an operator clicked and looks at, then the robots' own motion, then
-    the pair whose turn it is. A flood of clicks leaves every other turn to the robots: after a
-    restart all pairs ever clicked are due, and the robots want to know where they are.
+def urgent_job(site: Site) -> Job | None:
+    """What an operator waits for: a pair whose correspondences changed. A worker of its own is kept
+    for these.
     """
-    if site.click_had_turn:
-        site.click_had_turn = False
-        if (job := _robots_job(site, now_s)) is not None:
-            return job
-    if (job := _click_job(site) or back_job(site)) is not None:
-        site.click_had_turn = True
-        return job
-    site.click_had_turn = False
-    return _robots_job(site, now_s)
+    job = _click_job(site)
+    return None if job is None else replace(job, urgent=True)
+
+
+def next_job(site: Site, now_s: float) -> Job | None:
+    """What to align next: views that an operator looks at, then what robots wait for, each kind in
+    its turn. Where they wait for nothing, clicks: after a restart all pairs ever clicked are due.
+    """
+    return back_job(site) or _robots_job(site, now_s) or _click_job(site)
 
 
 def take_result(site: Site, done: Done, now_s: float) -> None:

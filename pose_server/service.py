@@ -19,7 +19,9 @@ from pose_server.correspondences.records import JournalError, Session
 from pose_server.fetching import Fetched, FetchedNewest, FetchedWide, Fetcher
 from pose_server.inbox import Asked, Inbox, Selected, TokenSeen, Updated
 from pose_server.pairs.agenda import compare_some
-from pose_server.pairs.engine import Done, Engine
+from pose_server.pairs.cluster import ClusterPool
+from pose_server.pairs.engine import Done
+from pose_server.pairs.workers import Engine, LocalPool
 from pose_server.publish import Stamp
 from pose_server.publishers import Publishers
 from pose_server.settings import ServerSettings
@@ -59,7 +61,8 @@ class Service:
         self._inbox = Inbox(self.keys, self._queue, self._drops)
         self._put = Publishers(link).put
         self._clouds = link.on_bulk(self.keys.cloud("*"), self._inbox.wake)
-        self._engine = Engine(settings.workers, self._queue.put)
+        pool = ClusterPool(settings.cluster) if settings.cluster else LocalPool(settings.workers)
+        self._engine = Engine(pool, self._queue.put)
         self._fetcher = Fetcher(self.keys, link.query, self._queue.put, self._drops)
         self._awaiting = Awaiting(self._fetcher.ask)
         self._load = Load(time.monotonic())
@@ -191,15 +194,15 @@ class Service:
 
     def _start_jobs(self) -> None:
         compare_some(self.site, time.monotonic())
-        while self._engine.idle > 0:
-            job = pipeline.next_job(self.site, time.monotonic())
-            if job is None:
-                return
+        while self._engine.idle_for_urgent and (job := pipeline.urgent_job(self.site)):
+            self._engine.submit(job)
+        while self._engine.idle > 0 and (job := pipeline.next_job(self.site, time.monotonic())):
             self._engine.submit(job)
 
     def _finished(self, done: Done) -> None:
-        if not self._engine.retire(done):
+        if done.worker_died:
             self.site.count("worker_died")
+        if not self._engine.retire(done):
             return
         if done.result is None:
             log.warning(

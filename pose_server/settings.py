@@ -20,6 +20,9 @@ class ServerSettings(BaseSettings):
     workers: int = Field(
         max(1, min(16, os.cpu_count() or 1)), ge=1, le=256, description="alignment processes"
     )
+    cluster: str | None = Field(
+        None, description="align on this Dask cluster instead, e.g. tcp://10.0.0.1:8786"
+    )
     anchor: str | None = Field(
         None, description="robot whose first keyframe is the origin of the fleet"
     )

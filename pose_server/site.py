@@ -156,7 +156,6 @@ class Site:
     kinds: Turns[str] = field(default_factory=Turns)
     depth_m: float = 1.0
     dirty: bool = False
-    click_had_turn: bool = False
     partners: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     touched: set[str] = field(default_factory=set)
     cells: dict[RobotPair, tuple[object, PairCell]] = field(default_factory=dict)

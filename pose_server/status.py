@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 
-from pose_server.pairs.engine import Engine
+from pose_server.pairs.workers import Engine
 from pose_server.publish import Stamp
 from pose_server.site import Site
 from protocol.messages import ServerStatus

@@ -1,17 +1,9 @@
-"""Runs alignments in worker processes: one job function, views prepared once per worker, dead
-workers replaced.
-"""
+"""A job: aligning two views, wherever a worker runs. Views are prepared once per worker."""
 
 import ctypes
-import os
-import signal
-import time
 from collections import OrderedDict
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context
 from typing import Literal
 
 import numpy as np
@@ -28,10 +20,9 @@ from protocol.codec import unpack
 from protocol.errors import CodecError
 from protocol.messages import View, ViewName
 
-MAX_TRIES = 2
 TRACK_POINTS = 700  # salient points used to follow a robot through its own views
 _CACHED_VIEWS = 32
-_PR_SET_PDEATHSIG, _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = 1, -1, -3
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 Purpose = Literal["clicks", "track", "pair"]
 
 
@@ -65,6 +56,7 @@ class Job:
         clicks: the operator's correspondences between the two views.
         usual: what the usual salient points gave, where the wide ones are to be tried now.
         known: what features gave for these very views: they need not be asked again.
+        urgent: whether an operator waits for it.
     """
 
     purpose: Purpose
@@ -75,6 +67,7 @@ class Job:
     clicks: Clicks | None = None
     usual: PairResult | None = None
     known: PairResult | None = None
+    urgent: bool = False
 
     @property
     def wide(self) -> bool:
@@ -84,7 +77,12 @@ class Job:
 
 @dataclass(frozen=True)
 class Done:
-    """A job's end: its result, or why there is none."""
+    """A job's end: its result, or why there is none.
+
+    Attributes:
+        tries: workers that it was given to.
+        worker_died: the last of them died of it, or beside it.
+    """
 
     job: Job
     result: PairResult | None
@@ -92,86 +90,6 @@ class Done:
     wall_ms: float = 0.0
     tries: int = 1
     worker_died: bool = False
-
-
-class Engine:
-    """A pool of local worker processes.
-
-    Used from one thread; `report` is called from the pool's thread and must only store. Every
-    `Done` is handed back to `retire`, which runs the job again where its worker died.
-    """
-
-    def __init__(self, workers: int, report: Callable[[Done], None]) -> None:
-        self.workers = workers
-        self.running = 0
-        self._report = report
-        self._pool = _pool(workers)
-
-    @property
-    def idle(self) -> int:
-        """How many more jobs keep all workers busy; one waits in line so that none pauses."""
-        return self.workers + 1 - self.running
-
-    def submit(self, job: Job, tries: int = 1) -> None:
-        """Runs a job; its end is reported."""
-        began = time.perf_counter()
-        try:
-            future = self._pool.submit(run_job, job)
-        except BrokenProcessPool:
-            self._pool.shutdown(wait=False)
-            self._pool = _pool(self.workers)
-            future = self._pool.submit(run_job, job)
-        self.running += 1
-        future.add_done_callback(lambda ended: self._ended(job, tries, began, ended))
-
-    def retire(self, done: Done) -> bool:
-        """Takes a finished job off the books; False if it runs again, because its worker died."""
-        self.running -= 1
-        if done.worker_died and done.tries < MAX_TRIES:
-            self.submit(done.job, done.tries + 1)
-            return False
-        return True
-
-    def _ended(self, job: Job, tries: int, began: float, future: "Future[PairResult]") -> None:
-        if future.cancelled():
-            return
-        error = future.exception()
-        wall_ms = 1e3 * (time.perf_counter() - began)
-        if error is None:
-            self._report(Done(job, future.result(), "", wall_ms, tries))
-        else:
-            died = isinstance(error, BrokenProcessPool)
-            text = f"{type(error).__name__}: {error} (try {tries})"
-            self._report(Done(job, None, text, wall_ms, tries, died))
-
-    def close(self) -> None:
-        """Ends the workers."""
-        self._pool.shutdown(wait=False, cancel_futures=True)
-        for process in list((self._pool._processes or {}).values()):
-            process.terminate()
-
-
-def _pool(workers: int) -> ProcessPoolExecutor:
-    """A pool whose workers start at once, so that the first view does not wait for their
-    imports.
-    """
-    pool = ProcessPoolExecutor(
-        workers, mp_context=get_context("spawn"), initializer=_start_worker, initargs=(os.getpid(),)
-    )
-    for _ in range(workers):
-        pool.submit(os.getpid)
-    return pool
-
-
-def _start_worker(parent: int) -> None:
-    """One thread per worker, ends with its parent, and leaves Ctrl-C to it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    libc = ctypes.CDLL(None)
-    libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
-        os._exit(1)
-    use_one_thread()
 
 
 def use_one_thread() -> None:

@@ -7,12 +7,14 @@ import queue
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pose_server.pairs.engine import MAX_TRIES, Done, EncodedView, Engine, Job
+from pose_server.pairs.engine import Done, EncodedView, Job
+from pose_server.pairs.workers import MAX_TRIES, Engine, LocalPool
 from protocol.codec import pack
 from protocol.messages import View, ViewName
 from protocol.transport import wait_until
@@ -31,7 +33,7 @@ class Deadly:
 @pytest.fixture
 def engine():
     done: queue.SimpleQueue[Done] = queue.SimpleQueue()
-    made = Engine(1, done.put)
+    made = Engine(LocalPool(1), done.put)
     yield made, done
     made.close()
 
@@ -54,7 +56,7 @@ def final(engine: Engine, done: "queue.SimpleQueue[Done]") -> Done:
 
 
 def workers(engine: Engine) -> list[int]:
-    return list(engine._pool._processes or {})
+    return engine._pool.pids()
 
 
 def is_there(pid: int) -> bool:
@@ -93,6 +95,31 @@ def test_a_job_that_kills_its_workers_is_given_up_and_told_and_the_next_one_runs
     assert final(pool, done).result is not None
 
 
+def test_a_job_that_kills_its_workers_takes_no_other_job_with_it():
+    done: queue.SimpleQueue[Done] = queue.SimpleQueue()
+    engine = Engine(LocalPool(2), done.put)
+    name = ViewName(robot="r1", epoch=EPOCH, seq=0)
+    try:
+        engine.submit(Job("pair", EncodedView(name, Deadly()), EncodedView(name, b"")))
+        engine.submit(good_job())
+        engine.submit(replace(good_job(), urgent=True))
+        ends = [final(engine, done) for _ in range(3)]
+        assert sorted(end.tries for end in ends) == [1, 1, MAX_TRIES]
+        assert sum(end.result is not None for end in ends) == 2
+    finally:
+        engine.close()
+
+
+def test_an_urgent_job_has_a_worker_that_no_other_job_takes(engine):
+    pool, done = engine
+    pool.submit(good_job())
+    assert pool.idle == 0 and pool.idle_for_urgent
+    pool.submit(replace(good_job(), purpose="clicks", urgent=True))
+    assert not pool.idle_for_urgent
+    assert {final(pool, done).job.urgent for _ in range(2)} == {False, True}
+    assert pool.idle == 1 and pool.idle_for_urgent
+
+
 def test_a_damaged_view_fails_its_job_alone(engine):
     pool, done = engine
     job = good_job()
@@ -111,7 +138,7 @@ def test_workers_end_with_their_parent_however_that_ends():
     try:
         assert parent.stdout is not None
         children = [int(pid) for pid in parent.stdout.readline().split()]
-        assert len(children) == 2 and all(is_there(pid) for pid in children)
+        assert len(children) == 3 and all(is_there(pid) for pid in children)
         parent.kill()
         parent.wait()
         assert wait_until(lambda: not any(is_there(pid) for pid in children), 5.0)
@@ -122,9 +149,8 @@ def test_workers_end_with_their_parent_however_that_ends():
 
 PARENT = """
 import sys
-from pose_server.pairs.engine import Engine
+from pose_server.pairs.workers import LocalPool
 if __name__ == "__main__":
-    engine = Engine(2, lambda done: None)
-    print(*engine._pool._processes, flush=True)
+    print(*LocalPool(2).pids(), flush=True)
     sys.stdin.read()
 """

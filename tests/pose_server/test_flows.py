@@ -139,7 +139,7 @@ def work_off(site: Site, most: int = 20) -> list[str]:
             pipeline.solve(site, 0.0)
         while compare_some(site, 0.0):
             pass
-        job = pipeline.next_job(site, 0.0)
+        job = pipeline.urgent_job(site) or pipeline.next_job(site, 0.0)
         if job is None:
             break
         purposes.append(job.purpose)

@@ -211,18 +211,19 @@ def test_a_robot_that_is_gone_is_not_located_any_more():
     assert not gone.pose.located and gone.pose.age_s == 2.0 and "token is gone" in gone.why_not
 
 
-def test_a_flood_of_clicks_leaves_every_other_turn_to_the_robots():
+def test_clicks_have_a_worker_of_their_own_and_a_flood_of_them_takes_none_from_the_robots():
     T_true = turned(15)
     both, points = scene_with_points_to_click(np.random.default_rng(4), T_true)
     site = site_of(*both)
     for n, point in enumerate(points, 1):
         pipeline.receive_update(site, click(n, point, T_true))
-    purposes = []
-    for seq in range(1, 7):
+    for seq in range(1, 4):
         site.pair("r1", "r2").clicks_due, site.pair("r1", "r2").running = True, False
         site.robots["r1"].waiting, site.robots["r1"].tracking = named(seq, "r1"), None
         site.views.keep(kept(both[0].model_copy(update={"name": named(seq, "r1")})))
-        job = pipeline.next_job(site, 0.0)
-        assert job is not None
-        purposes.append(job.purpose)
-    assert purposes == ["clicks", "track"] * 3
+        urgent, other = pipeline.urgent_job(site), pipeline.next_job(site, 0.0)
+        assert urgent is not None and (urgent.purpose, urgent.urgent) == ("clicks", True)
+        assert other is not None and (other.purpose, other.urgent) == ("track", False)
+    site.pair("r1", "r2").clicks_due, site.pair("r1", "r2").running = True, False
+    left = pipeline.next_job(site, 0.0)
+    assert left is not None and left.purpose == "clicks"  # where robots wait for nothing
