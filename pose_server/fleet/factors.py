@@ -39,18 +39,34 @@ def left_covariance(T_root_node: Floats, right_covariance: Floats) -> Floats:
     return A @ right_covariance @ A.T
 
 
-def click_factor(
-    a: int, b: int, clicked: PointPairs, T_a_b: Floats, robust_sigmas: float, near: bool
-) -> gtsam.NonlinearFactor | None:
-    """All clicks between two keyframes as one factor: what they say of T_a_b near a given one.
+@dataclass(frozen=True, eq=False)
+class ClickSummary:
+    """What all clicks between two keyframes a and b say of T_a_b near a given pose.
 
-    It is the Gauss-Newton step of the clicked points and its information, which need not determine
-    all six directions. A click farther off than `robust_sigmas` counts less, and once the pose is
-    `near` what they say, hardly at all. None where they say nothing.
+    Attributes:
+        at: (4, 4) that pose.
+        near: whether clicks that are far off there hardly count.
+        T_a_b: (4, 4) what they say.
+        upper: (6, 6) root of their information on right perturbations, upper triangular.
+    """
+
+    at: Floats
+    near: bool
+    T_a_b: Floats
+    upper: Floats
+
+
+def summed_up(
+    clicked: PointPairs, T_a_b: Floats, robust_sigmas: float, near: bool
+) -> ClickSummary | None:
+    """The Gauss-Newton step of clicked points at a pose, and its information, which need not
+    determine all six directions; None where they say nothing.
+
+    A click farther off than `robust_sigmas` counts less, and once the pose is `near` what they say,
+    hardly at all.
     """
     off = np.maximum(clicked.distance2(T_a_b) / robust_sigmas**2, 1.0)
-    weights = off ** (-2.0 if near else -1.0)
-    H, g = clicked.normal_equations(T_a_b, weights=weights)
+    H, g = clicked.normal_equations(T_a_b, weights=off ** (-2.0 if near else -1.0))
     size = max(float(np.abs(clicked.p_a).mean()), 1e-9)  # metres and radians of one scale
     unit = np.repeat((1.0, size), 3)
     values, vectors = np.linalg.eigh(H * np.outer(unit, unit))
@@ -62,9 +78,14 @@ def click_factor(
     step *= min(1.0, _LONGEST_TURN_RAD / max(float(np.linalg.norm(step[:3])), 1e-12))
     T = retract(T_a_b, step)
     root = np.sqrt(np.maximum(values, _UNKNOWN * values[-1]))[:, None] * (vectors / unit[:, None]).T
-    upper = np.linalg.qr(root @ adjoint(T), mode="r")  # of right perturbations
-    noise = gtsam.noiseModel.Gaussian.SqrtInformation(upper)
-    return gtsam.BetweenFactorPose3(a, b, gtsam.Pose3(T), noise)
+    upper = np.asarray(np.linalg.qr(root @ adjoint(T), mode="r"))
+    return ClickSummary(T_a_b, near, T, upper)
+
+
+def click_factor(a: int, b: int, summary: ClickSummary) -> gtsam.NonlinearFactor:
+    """All clicks between two keyframes as one factor."""
+    noise = gtsam.noiseModel.Gaussian.SqrtInformation(summary.upper)
+    return gtsam.BetweenFactorPose3(a, b, gtsam.Pose3(summary.T_a_b), noise)
 
 
 def prior(node: int, pose: gtsam.Pose3) -> gtsam.NonlinearFactor:

@@ -48,7 +48,14 @@ def solve_fleet(
     number = {node: k for k, node in enumerate(nodes)}
     newest = newest or {}
     state = FleetInput(
-        list(nodes), number, list(edges), placed_clicks(clicks, number), gauge, newest, settings
+        list(nodes),
+        number,
+        list(edges),
+        placed_clicks(clicks, number),
+        gauge,
+        newest,
+        settings,
+        previous,
     )
     state.check()
     known = _known_poses(nodes, previous)

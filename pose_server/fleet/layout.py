@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.fleet.components import Partition, hint_from, partition
-from pose_server.fleet.factors import between
+from pose_server.fleet.factors import ClickSummary, between
 from pose_server.fleet.forest import Reached
 from pose_server.fleet.links import VERIFIED, Link, joins_alone, links_of
-from pose_server.fleet.types import ClickFactor, Edge, SolveSettings
+from pose_server.fleet.types import ClickFactor, Edge, FleetSolution, SolveSettings
 from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.se3 import inverse
 from protocol.messages import ViewName
@@ -43,6 +43,7 @@ class FleetInput:
     gauge: ViewName | None
     newest: Mapping[str, ViewName]
     settings: SolveSettings
+    previous: FleetSolution | None = None
 
     def check(self) -> None:
         keys = [edge.key for edge in self.edges]
@@ -71,6 +72,17 @@ class FleetInput:
             nodes: (point_pairs(clicks), [click.id for click in clicks])
             for nodes, clicks in by_nodes.items()
         }
+
+    @cached_property
+    def told(self) -> dict[tuple[int, int], ClickSummary]:
+        """What those pairs of nodes said in the last solve whose clicks are the same still."""
+        earlier = {} if self.previous is None else self.previous.told
+        found = {}
+        for (a, b), (clicked, _) in self.clicked.items():
+            before = earlier.get((self.nodes[a], self.nodes[b]))
+            if before is not None and before[0] == clicked.fingerprint():
+                found[a, b] = before[1]
+        return found
 
     def layout(self, excluded: frozenset[int], known: Known) -> Layout:
         joining = frozenset(k for k, edge in enumerate(self.edges) if joins_alone(edge))

@@ -16,6 +16,7 @@ from pose_server.fleet.types import (
     EdgeKey,
     FleetSolution,
     NodePose,
+    Told,
 )
 from pose_server.geometry.noise import chi2_limit
 from pose_server.geometry.se3 import inverse, transform
@@ -42,7 +43,15 @@ def solution_of(
         judged,
         found.outvoted,
         uncertainty,
+        _told(state, found),
     )
+
+
+def _told(state: FleetInput, found: Found) -> dict[tuple[ViewName, ViewName], Told]:
+    return {
+        (state.nodes[a], state.nodes[b]): (state.clicked[a, b][0].fingerprint(), summary)
+        for (a, b), summary in found.told.items()
+    }
 
 
 def _nodes(
@@ -111,7 +120,7 @@ def _clicks(state: FleetInput, layout: Layout, found: Found) -> dict[int, ClickJ
         T_a_b = inverse(found.poses[a]) @ found.poses[b]
         distances2 = clicked.distance2(T_a_b)
         residuals = np.linalg.norm(clicked.p_a - transform(T_a_b, clicked.p_b), axis=1)
-        used = (a, b) in found.clicks
+        used = (a, b) in found.told
         for number, residual, distance2 in zip(ids, residuals, distances2, strict=True):
             judgements[number] = ClickJudgement(
                 used, float(residual), float(distance2), bool(distance2 > limit)

@@ -53,14 +53,14 @@ class Found:
     Attributes:
         fit: the poses and outliers that fit each other.
         links: all links with both ends in one component, as `fit` orders them.
-        clicks: numbers of the two nodes whose clicks were a factor of their own.
+        told: by the numbers of two nodes, what their clicks said as a factor of their own.
         judged: whether all edges were weighed against each other.
         outvoted: how many were set aside without that since the last time.
     """
 
     fit: Fit
     links: list[Link]
-    clicks: frozenset[tuple[int, int]]
+    told: dict[tuple[int, int], gt.ClickSummary]
     judged: bool
     outvoted: int
 
@@ -137,6 +137,7 @@ class _Problem:
             [edge.kind == "odometry" and edge.verdict == "verified" for edge in edges], bool
         )
         self._factors = [state.factors[link.edge] for link in self.links if link.edge is not None]
+        self.told = {nodes: told for nodes, told in state.told.items() if nodes in self._clicked}
         self._always = [gt.prior(tree[0].node, gtsam.Pose3()) for tree in layout.trees]
         self._start = gt.values_of(layout.start)
         self._n = len(state.nodes)
@@ -191,17 +192,16 @@ class _Problem:
         return agreeing
 
     def found(self, fit: Fit, judged: bool, outvoted: int) -> Found:
-        return Found(fit, self.links, frozenset(self._clicked), judged, outvoted)
+        return Found(fit, self.links, self.told, judged, outvoted)
 
     def _least_squares(self, out: Bools, start: gtsam.Values) -> Fit:
         kept = [factor for factor, drop in zip(self._factors, out, strict=True) if not drop]
         graph, values = self._with_clicks(kept, start, near=False), start
-        for k in range(_CLICK_ROUNDS):
+        for _ in range(_CLICK_ROUNDS):
             values = gt.least_squares(graph, values)
-            if not self._clicked or (k and self._fits_clicks(start, values)):
+            if self._heeds_clicks(values):
                 break
-            start = values
-            graph = self._with_clicks(kept, start, near=True)  # they say something else from there
+            graph = self._with_clicks(kept, values, near=True)  # they say something else from there
         return Fit(out, graph, values, gt.distances2(self._factors, values))
 
     def _with_clicks(
@@ -209,24 +209,28 @@ class _Problem:
     ) -> gtsam.NonlinearFactorGraph:
         """The problem, with what clicks say at given poses."""
         robust = self._settings.click_robust_sigmas
-        by_clicks = (
-            gt.click_factor(a, b, clicked, gt.between_poses(at, a, b), robust, near)
-            for (a, b), clicked in self._clicked.items()
-        )
-        told = (factor for factor in by_clicks if factor is not None)
-        return gt.graph_of(self._always, kept, told)
+        for (a, b), clicked in self._clicked.items():
+            T_a_b = gt.between_poses(at, a, b)
+            told = self.told.get((a, b))
+            if told is None or not self._still_holds(told, T_a_b) or (near and not told.near):
+                summary = gt.summed_up(clicked, T_a_b, robust, near)
+                if summary is not None:
+                    self.told[a, b] = summary
+        by_clicks = (gt.click_factor(a, b, summary) for (a, b), summary in self.told.items())
+        return gt.graph_of(self._always, kept, by_clicks)
 
-    def _fits_clicks(self, before: gtsam.Values, after: gtsam.Values) -> bool:
-        """Whether no clicked pair of keyframes moved so far that its clicks would say more."""
-        settings = self._settings
-        for a, b in self._clicked:
-            change = gt.between_poses(before, a, b) @ inverse(gt.between_poses(after, a, b))
-            if (
-                rotation_angle(change[:3, :3]) > _CLICK_SHARE * settings.agree_rotation_rad
-                or np.linalg.norm(change[:3, 3]) > _CLICK_SHARE * settings.agree_translation_m
-            ):
-                return False
-        return True
+    def _heeds_clicks(self, values: gtsam.Values) -> bool:
+        """Whether the clicks of every pair of keyframes would say nothing new."""
+        return all(
+            told.near and self._still_holds(told, gt.between_poses(values, a, b))
+            for (a, b), told in self.told.items()
+        )
+
+    def _still_holds(self, told: gt.ClickSummary, T_a_b: Floats) -> bool:
+        change = told.at @ inverse(T_a_b)
+        turned = rotation_angle(change[:3, :3]) > _CLICK_SHARE * self._settings.agree_rotation_rad
+        moved = np.linalg.norm(change[:3, 3]) > _CLICK_SHARE * self._settings.agree_translation_m
+        return not (turned or moved)
 
 
 def contested_edges(layout: Layout, found: Found) -> frozenset[int]:

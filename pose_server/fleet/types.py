@@ -16,6 +16,8 @@ from protocol.messages import Verdict, ViewName
 Floats = npt.NDArray[np.floating]
 EdgeKind = Literal["odometry", "pair"]
 EdgeKey = tuple[ViewName, ViewName, EdgeKind]
+Told = tuple[int, Any]
+"""Fingerprint of the points clicked in two keyframes, and what they said: a `ClickSummary`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,6 +196,7 @@ class FleetSolution:
         judged: whether all edges were weighed against each other in this solve (graduated non-
             convexity).
         outvoted: edges set aside since then without that.
+        told: what the clicks between two keyframes said, for the next solve.
     """
 
     nodes: dict[ViewName, NodePose]
@@ -203,7 +206,8 @@ class FleetSolution:
     bridges: tuple[Bridge, ...]
     judged: bool
     outvoted: int = 0
-    uncertainty: Any = field(default=None, repr=False)  # graph.Uncertainty; keeps gtsam out of here
+    uncertainty: Any = field(default=None, repr=False)  # factors.Uncertainty; keeps gtsam out
+    told: dict[tuple[ViewName, ViewName], Told] = field(default_factory=dict, repr=False)
 
     def joined(self, a: ViewName, b: ViewName) -> bool:
         """Whether both are known and in one component."""

@@ -37,6 +37,10 @@ class PointPairs:
     def __getitem__(self, index: npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> "PointPairs":
         return PointPairs(self.p_a[index], self.p_b[index], self.C_a[index], self.C_b[index])
 
+    def fingerprint(self) -> int:
+        """A number that changes with any of the points."""
+        return hash((self.p_a.tobytes(), self.p_b.tobytes()))
+
     def distance2(self, T_a_b: Floats, covariance: Floats | None = None) -> Floats:
         """(N,) squared Mahalanobis distances of p_a and T_a_b p_b, 3 dof.
 

@@ -1,5 +1,7 @@
 """Clicks as factors of the fleet solve."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from pose_server.fleet.graph import solve_fleet
@@ -32,6 +34,18 @@ def test_clicks_pull_a_badly_known_edge():
         )
     without, with_clicks = np.median(errors, axis=0)
     assert with_clicks < 0.4 * without
+
+
+def test_clicks_that_were_moved_are_asked_again():
+    tight = edge(NODES, TRUTH, 0, 1, None)
+    before = solve_fleet(NODES, [tight], clicks_on(POINTS))
+    moved = [replace(click, p_a=click.p_a + [0.0, 0.02, 0.0]) for click in clicks_on(POINTS)]
+    same, anew = (
+        solve_fleet(NODES, [tight], moved, previous=previous) for previous in (before, None)
+    )
+    T = [one.nodes[NODES[1]].T_root_camera for one in (before, same, anew)]
+    assert np.allclose(T[1], T[2], atol=1e-4)
+    assert not np.allclose(T[0], T[2], atol=1e-3)
 
 
 def test_one_click_helps_without_determining_a_pose():
