@@ -39,7 +39,9 @@ def test_clicks_pull_a_badly_known_edge():
 def test_clicks_that_were_moved_are_asked_again():
     tight = edge(NODES, TRUTH, 0, 1, None)
     before = solve_fleet(NODES, [tight], clicks_on(POINTS))
-    moved = [replace(click, p_a=click.p_a + [0.0, 0.02, 0.0]) for click in clicks_on(POINTS)]
+    moved = [
+        replace(click, p_a=click.p_a + np.array([0.0, 0.02, 0.0])) for click in clicks_on(POINTS)
+    ]
     same, anew = (
         solve_fleet(NODES, [tight], moved, previous=previous) for previous in (before, None)
     )
