@@ -286,8 +286,15 @@ class PairCell(Message, frozen=True, schema="fleet.pair_cell.v1"):
     correspondences: Count = 0
 
 
-class Question(Message, frozen=True, schema="fleet.question.v1"):
-    """What the operator is asked, best first."""
+class Suggestion(Message, frozen=True, schema="fleet.suggestion.v1"):
+    """Two pixels that may show the same point; nothing vouches for it but an operator."""
+
+    pixel_i: Pixel
+    pixel_j: Pixel
+
+
+class Question(Message, frozen=True, schema="fleet.question.v2", before="fleet.question.v1"):
+    """What the operator is asked, best first. v2 has suggestions."""
 
     i: Name
     j: Name
@@ -297,6 +304,23 @@ class Question(Message, frozen=True, schema="fleet.question.v1"):
     gain: NonNegative = Field(
         description="expected drop of the fleet's position sigma, m per click"
     )
+    suggestions: Many[Suggestion] = Field(
+        default=(), description="points to confirm in these two views, best first"
+    )
+
+
+class Answer(Message, frozen=True, schema="fleet.answer.v1"):
+    """What an operator's clicks in a pair did, beside what was expected of them."""
+
+    i: Name
+    j: Name
+    clicks: Count = Field(description="correspondences added")
+    predicted: NonNegative = Field(description="drop of the fleet's mean position sigma, m")
+    realised: Annotated[float, Field(allow_inf_nan=False)] = Field(
+        description="the same after them, m; negative where they revealed that less is known"
+    )
+    joined: Many[Name] = Field(description="robots that were not joined to the anchor before")
+    text: Text
 
 
 class RobotState(Message, frozen=True, schema="fleet.robot_state.v1"):
@@ -321,11 +345,11 @@ class Alarm(Message, frozen=True, schema="fleet.alarm.v1"):
 class FleetState(
     Message,
     frozen=True,
-    schema="fleet.state.v3",
-    before="fleet.state.v2",
+    schema="fleet.state.v4",
+    before="fleet.state.v3",
     at_most=MAX_MESSAGE_BYTES,
 ):
-    """`fleet/state`: everything a late client needs, at a steady rate. v3 has alarms."""
+    """`fleet/state`: everything a late client needs, at a steady rate. v4 has answers."""
 
     server_epoch: Epoch
     n: Count
@@ -341,6 +365,9 @@ class FleetState(
         default=(), description="selected views that the server keeps: clicks in them will count"
     )
     alarms: Many[Alarm] = Field(default=(), description="that stand now")
+    answered: Many[Answer] = Field(
+        default=(), description="the operators' newest answers, the newest last"
+    )
 
 
 class ServerStatus(Message, frozen=True, schema="fleet.status.v1"):
