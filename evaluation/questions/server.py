@@ -145,7 +145,7 @@ class FleetServer:
     def _solve(self) -> None:
         self.site.dirty = True
         while self.site.dirty:  # choosing an anchor makes it dirty once more
-            pipeline.solve(self.site)
+            pipeline.solve(self.site, self._now_s)
         pipeline.note_components(self.site)
         pipeline.judge_correspondences(self.site)
 

@@ -46,7 +46,7 @@ def scene():
         pipeline.receive_token(site, message.name.robot, message.name.epoch, True)
         kept = open_view(pack(message), encoding_of(View), 0.0)
         pipeline.receive_view(site, kept)
-    pipeline.solve(site)
+    pipeline.solve(site, 0.0)
     nearest = [points[np.argmin(np.abs(points[:, :2] - xy).sum(axis=1))] for xy in CORNERS]
     return site, nearest
 
@@ -82,7 +82,7 @@ def click(site, n, point):
 def work(site):
     while (job := pipeline.next_job(site, 0.0)) is not None:
         pipeline.take_result(site, Done(job, run_job(job)), 0.0)
-    pipeline.solve(site)
+    pipeline.solve(site, 0.0)
 
 
 def test_looking_without_a_click_makes_the_question_worth_less(scene):
@@ -127,7 +127,7 @@ def test_the_state_carries_answers_and_questions(scene):
     asked = unpack(FleetState, pack(fleet_state(site, settings, stamp, 1)))
     assert [(question.i, question.j) for question in asked.questions] == [("r1", "r2")]
     click(site, 1, points[0])
-    pipeline.solve(site)
+    pipeline.solve(site, 0.0)
     told = unpack(FleetState, pack(fleet_state(site, settings, stamp, 2)))
     assert [answer.clicks for answer in told.answered] == [1]
 
