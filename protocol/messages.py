@@ -17,19 +17,12 @@ from protocol.camera import ROBOT_FROM_CAMERA as ROBOT_FROM_CAMERA
 from protocol.camera import Camera
 from protocol.camera import NoiseModel as NoiseModel
 from protocol.fields import Count, Epoch, Many, Moment, Name, NonNegative, Positive, Stamp, Text
+from protocol.questions import Answer as Answer
+from protocol.questions import Question as Question
+from protocol.questions import Suggestion as Suggestion
+from protocol.view_name import ViewName as ViewName
 
 Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
-
-
-class ViewName(Message, frozen=True, schema="fleet.view_name.v1"):
-    """One moment of one robot: image and cloud of it carry the same name."""
-
-    robot: Name
-    epoch: Epoch
-    seq: Count
-
-    def __str__(self) -> str:
-        return f"{self.robot}/{self.epoch}/{self.seq}"
 
 
 class CameraAnnouncement(Message, frozen=True, schema="fleet.camera_announcement.v1"):
@@ -284,43 +277,6 @@ class PairCell(Message, frozen=True, schema="fleet.pair_cell.v1"):
     overlap: NonNegative = 0.0
     age_s: NonNegative = 0.0
     correspondences: Count = 0
-
-
-class Suggestion(Message, frozen=True, schema="fleet.suggestion.v1"):
-    """Two pixels that may show the same point; nothing vouches for it but an operator."""
-
-    pixel_i: Pixel
-    pixel_j: Pixel
-
-
-class Question(Message, frozen=True, schema="fleet.question.v2", before="fleet.question.v1"):
-    """What the operator is asked, best first. v2 has suggestions."""
-
-    i: Name
-    j: Name
-    view_i: ViewName
-    view_j: ViewName
-    reason: Text
-    gain: NonNegative = Field(
-        description="expected drop of the fleet's position sigma, m per click"
-    )
-    suggestions: Many[Suggestion] = Field(
-        default=(), description="points to confirm in these two views, best first"
-    )
-
-
-class Answer(Message, frozen=True, schema="fleet.answer.v1"):
-    """What an operator's clicks in a pair did, beside what was expected of them."""
-
-    i: Name
-    j: Name
-    clicks: Count = Field(description="correspondences added")
-    predicted: NonNegative = Field(description="drop of the fleet's mean position sigma, m")
-    realised: Annotated[float, Field(allow_inf_nan=False)] = Field(
-        description="the same after them, m; negative where they revealed that less is known"
-    )
-    joined: Many[Name] = Field(description="robots that were not joined to the anchor before")
-    text: Text
 
 
 class RobotState(Message, frozen=True, schema="fleet.robot_state.v1"):
