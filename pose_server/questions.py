@@ -21,6 +21,7 @@ _WITH_SUGGESTIONS = 5  # questions, the first ones
 _MOST_SUGGESTIONS = 8
 # Chance that two views which look quite alike share enough to click, if no found pose is right
 _LIKE_UNTRIED, _LIKE_TRIED, _LEAST = 0.6, 0.15, 0.02
+_USUAL_LIKENESS = 0.5
 
 
 def questions(site: Site) -> tuple[Question, ...]:
@@ -146,7 +147,7 @@ def _tries(
         for n, second in enumerate(names_b):
             pair = ordered_pair(first, second)
             record = site.pairs.get(pair)
-            like = similarity(site, newest[first], newest[second])
+            like = _likeness(site, newest[first], newest[second])
             vain = _in_vain(site, pair, newest)
             best = None if record is None else record.best
             otherwise = _LEAST + like * (_LIKE_UNTRIED if best is None else _LIKE_TRIED)
@@ -156,6 +157,14 @@ def _tries(
             odds = chances.log_odds(None if best is None else best.evidence)
             tries.append(Try(m, n, T, odds, vain, otherwise))
     return tries
+
+
+def _likeness(site: Site, a: ViewName, b: ViewName) -> float:
+    """How much two views look alike, compared here only where no alignment says more."""
+    known = site.similarities.get((a, b) if str(a) < str(b) else (b, a))
+    if known is None and ordered_pair(a.robot, b.robot) in site.skip:
+        known = similarity(site, a, b)
+    return _USUAL_LIKENESS if known is None else known
 
 
 def _carried(site: Site, record: PairRecord, to: ViewPair) -> Floats | None:

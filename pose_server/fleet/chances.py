@@ -9,6 +9,7 @@ of a pair is then the share of what remains under which its views look at the sa
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +25,7 @@ Floats = npt.NDArray[np.floating]
 _ACROSS, _SIGMA, _MATCHES = -1.6, -0.5, 2.1
 _USUAL_SIGMA = 0.03
 _CLEAR_ACROSS = 0.7  # better residuals than this prove no more
-_MOST_HYPOTHESES = 16
+_MOST_HYPOTHESES, _WORSE = 10, 6.0  # that are looked at; log odds below the best
 _AGREE_SHARE, _AGREE_RAD = 0.15, 0.17  # of the depth; wider than for joining: it is only asked
 _BY_CHANCE = 0.04  # of wrong poses that agree with a given one
 _MOST_SUPPORT = 3.0  # log odds by agreement: aliases of one structure agree with each other
@@ -32,7 +33,7 @@ _SEEN_DEG, _SEEN_WIDTH_DEG = 85.0, 9.0  # half of the pairs so far apart share p
 _ALIGNS_DEG, _ALIGNS_WIDTH_DEG = 52.0, 6.0  # half of the pairs so far apart are verified
 _MISSED_IF_ALIGNED, _IF_NOT_ALIGNED = 0.3, 0.7  # what the pair's own alignment adds to that
 _SURE = 0.95  # that what should be seen or align, is or does
-_GRID = 5  # pixels per side at which overlap is looked up
+_GRID = 3  # pixels per side at which overlap is looked up
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +47,7 @@ class Look:
     size: tuple[int, int]
     depth_m: float
 
+    @cached_property
     def sight(self) -> Floats:
         """(G, 3) places it looks at, in its own frame: a grid of pixels at the median depth."""
         width, height = self.size
@@ -54,6 +56,11 @@ class Look:
         )
         rays = np.column_stack((u.ravel(), v.ravel(), np.ones(u.size))) @ np.linalg.inv(self.K).T
         return rays * self.depth_m
+
+    @cached_property
+    def T_camera_part(self) -> Floats:
+        """(4, 4), the other way round."""
+        return inverse(self.T_part_camera)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +96,12 @@ def chances(part_a: Sequence[Look], part_b: Sequence[Look], tries: Sequence[Try]
     pairs included, what they saw in the pair itself left out.
     """
     found = sorted((t for t in tries if t.T_a_b is not None), key=lambda t: -t.log_odds)
-    found = found[:_MOST_HYPOTHESES]
+    found = [t for t in found if t.log_odds > found[0].log_odds - _WORSE][:_MOST_HYPOTHESES]
     vain, otherwise = (np.zeros((len(part_a), len(part_b))) for _ in range(2))
     for one in tries:
         vain[one.a, one.b], otherwise[one.a, one.b] = one.in_vain, one.otherwise
+    if not found:
+        return otherwise
     weights = [float(np.exp((vain * np.log1p(-otherwise)).sum()))]
     seen: list[Floats] = [otherwise]
     poses = [_between(part_a, part_b, one) for one in found]
@@ -152,9 +161,9 @@ def _towards(
     in degrees between both at its middle.
     """
     T = T_there_here @ np.stack([look.T_part_camera for look in here])  # (H, 4, 4)
-    sights = np.stack([look.sight() for look in here])
+    sights = np.stack([look.sight for look in here])
     places = sights @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]  # (H, G, 3)
-    into = np.stack([inverse(look.T_part_camera) for look in there])
+    into = np.stack([look.T_camera_part for look in there])
     seen = np.einsum("tij,hgj->htgi", into[:, :3, :3], places) + into[:, None, :3, 3]
     z = np.where(seen[..., 2] > 1e-6, seen[..., 2], np.inf)
     uv = np.einsum("tij,htgj->htgi", np.stack([o.K for o in there]), seen)[..., :2] / z[..., None]

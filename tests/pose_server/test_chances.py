@@ -120,5 +120,5 @@ def test_odds_fall_with_residuals_and_sigma_and_rise_with_matches():
 
 def test_points_of_a_sight_lie_before_the_camera():
     look = part(A)[0]
-    places = transform(look.T_part_camera, look.sight())
+    places = transform(look.T_part_camera, look.sight)
     assert np.allclose(places[:, 2], 3.0)
