@@ -70,13 +70,12 @@ class Run:
 
 @dataclass
 class Played:
-    """All policies on one fleet; of the suggested points of the first questions, how many could be
-    judged and how many of them are true.
+    """All policies on one fleet; of the points suggested with the first questions that could be
+    judged, the rank of their question and whether they are true.
     """
 
     runs: list[Run]
-    suggestions: int = 0
-    true_suggestions: int = 0
+    suggestions: list[tuple[int, bool]] = field(default_factory=list)
 
 
 def play(task: Task) -> Played | None:
@@ -88,7 +87,7 @@ def play(task: Task) -> Played | None:
     for policy in POLICIES:
         server = server_of(task, drawn)
         if not played.runs:
-            played.suggestions, played.true_suggestions = judged_suggestions(task, server)
+            played.suggestions = judged_suggestions(task, server)
         played.runs.append(_asked(task, server, policy))
     return played
 
@@ -218,12 +217,12 @@ def clicks_in(task: Task, views: tuple[int, int], visit: int) -> list[tuple[Floa
     return list(zip(made.pixels[0][-CLICKS:], made.pixels[1][-CLICKS:], strict=True))
 
 
-def judged_suggestions(task: Task, server: FleetServer) -> tuple[int, int]:
-    """Of the points that come with the first questions: how many show a place whose depth is
-    recorded, so that they can be judged, and how many of these are true to 3 px.
+def judged_suggestions(task: Task, server: FleetServer) -> list[tuple[int, bool]]:
+    """Of the points that come with the first questions those that show a place whose depth is
+    recorded: the rank of their question, and whether they are true to 3 px.
     """
-    judged = true = 0
-    for question in questions(server.site):
+    judged = []
+    for rank, question in enumerate(questions(server.site)):
         i, j = (
             task.recording.views[server.views[name.robot]]
             for name in (question.view_i, question.view_j)
@@ -234,9 +233,9 @@ def judged_suggestions(task: Task, server: FleetServer) -> tuple[int, int]:
             if place is None:
                 continue
             u, v, w = j.K @ transform(T_j_i, place[None])[0]
-            judged += 1
-            true += w > 0 and np.hypot(u / w - one.pixel_j[0], v / w - one.pixel_j[1]) < TRUE_PX
-    return judged, int(true)
+            off_px = np.hypot(u / w - one.pixel_j[0], v / w - one.pixel_j[1])
+            judged.append((rank, bool(w > 0 and off_px < TRUE_PX)))
+    return judged
 
 
 def _true_place(recording: Recording, view: TrueView, pixel: Floats) -> Floats | None:

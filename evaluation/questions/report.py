@@ -10,6 +10,7 @@ import numpy.typing as npt
 from evaluation.intervals import DRAWS, LEVEL
 from evaluation.questions.play import Played, Run
 from evaluation.report import new_figure, print_table, write_csv, write_summary
+from evaluation.scoring import share
 
 Floats = npt.NDArray[np.floating]
 
@@ -51,10 +52,10 @@ def summarize(played: Sequence[Played], policies: Sequence[str], seed: int = 0) 
     ):
         summary[what] = {p: sum(flag(r) for r in runs if r.policy == p) for p in policies}
     summary["asked_in_vain"] = {p: sum(r.in_vain for r in runs if r.policy == p) for p in policies}
-    judged = sum(one.suggestions for one in played)
-    true = sum(one.true_suggestions for one in played)
-    summary["suggestions_judged"] = judged
-    summary["suggestions_true"] = true / judged if judged else None
+    suggestions = [one for of in played for one in of.suggestions]
+    summary["suggestions_judged"] = len(suggestions)
+    summary["suggestions_true"] = share(true for _, true in suggestions)
+    summary["suggestions_true_first"] = share(true for rank, true in suggestions if rank == 0)
     return summary
 
 

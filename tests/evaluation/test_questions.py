@@ -18,7 +18,7 @@ def played(clicks, minimum=3):
     runs = [
         Run(0, name, 8, 2, minimum, n, n < 80) for name, n in zip(POLICIES, clicks, strict=True)
     ]
-    return Played(runs, 10, 7)
+    return Played(runs, [(0, True), (0, True), (1, False), (2, False)])
 
 
 def test_interval_holds_the_mean_and_shrinks_with_more_fleets():
@@ -49,7 +49,7 @@ def test_summary_has_the_keys_that_others_read():
     assert summary["ratio_largest_high"] == summary["ratio_largest_error_high"] <= 0.34
     assert set(summary["clicks_random"]) == {"mean", "low", "high"}
     assert summary["failures"] == {"questions": 0, "largest_error": 0, "random": 1}
-    assert summary["suggestions_true"] == 0.7
+    assert summary["suggestions_true"] == 0.5 and summary["suggestions_true_first"] == 1.0
 
 
 def test_a_fleet_of_pictures_without_features_is_located_by_clicks(tmp_path):
