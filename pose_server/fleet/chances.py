@@ -25,7 +25,7 @@ Floats = npt.NDArray[np.floating]
 _ACROSS, _SIGMA, _MATCHES = -1.6, -0.5, 2.1
 _USUAL_SIGMA = 0.03
 _CLEAR_ACROSS = 0.7  # better residuals than this prove no more
-_MOST_HYPOTHESES, _WORSE = 10, 6.0  # that are looked at; log odds below the best
+_MOST_HYPOTHESES = 16
 _AGREE_SHARE, _AGREE_RAD = 0.15, 0.17  # of the depth; wider than for joining: it is only asked
 _BY_CHANCE = 0.04  # of wrong poses that agree with a given one
 _MOST_SUPPORT = 3.0  # log odds by agreement: aliases of one structure agree with each other
@@ -96,7 +96,7 @@ def chances(part_a: Sequence[Look], part_b: Sequence[Look], tries: Sequence[Try]
     pairs included, what they saw in the pair itself left out.
     """
     found = sorted((t for t in tries if t.T_a_b is not None), key=lambda t: -t.log_odds)
-    found = [t for t in found if t.log_odds > found[0].log_odds - _WORSE][:_MOST_HYPOTHESES]
+    found = found[:_MOST_HYPOTHESES]
     vain, otherwise = (np.zeros((len(part_a), len(part_b))) for _ in range(2))
     for one in tries:
         vain[one.a, one.b], otherwise[one.a, one.b] = one.in_vain, one.otherwise
