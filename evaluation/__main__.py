@@ -267,6 +267,28 @@ def solve(
 
 
 @app.command()
+def questions(
+    data: Data,
+    out: Out,
+    clouds: Clouds = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Fleets, each drawn by a seed.")] = 20,
+    first: Annotated[int, typer.Option(min=0, help="The first seed.")] = 0,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+) -> None:
+    """Count clicks until the whole fleet is located: by the server's questions, by the paper's rule
+    (the largest error of the matrix first), by chance, and at least.
+
+    Each seed draws 8 to 12 views as robots that fall into several parts after all pairs were
+    aligned automatically. A simulated operator clicks three points per question, 1.5 px off; two
+    images with too little in common cost two clicks. Writes runs.csv, summary.json and clicks.png.
+    """
+    from evaluation.questions.command import QuestionsOptions, run
+
+    options = QuestionsOptions(data, clouds.value if clouds else None, seeds, first, workers)
+    run(options, out)
+
+
+@app.command()
 def faults(
     out: Out,
     kills: Annotated[

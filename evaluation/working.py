@@ -24,12 +24,14 @@ def on_the_wire(
     folder: Path,
     pool: ProcessPoolExecutor,
     progress: Any,
+    seed: int | None = None,
 ) -> tuple[dict[int, Path], list[float]]:
     """What every view's robot sends, in one file each, and the milliseconds it took the robot.
 
-    Each robot works on a stripped folder of its own: nothing of the truth is in these files.
+    Each robot works on a stripped folder of its own: nothing of the truth is in these files. The
+    robots' names are drawn by the seed.
     """
-    rng = random.Random()
+    rng = random.Random(seed)
     task = progress.add_task("views", total=len(views))
     jobs: list[tuple[int, Future[float]]] = []
     wires: dict[int, Path] = {}

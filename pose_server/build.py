@@ -34,6 +34,7 @@ def build(settings: ServerSettings) -> Service:
     skip = frozenset() if settings.skip_pairs is None else read_pairs(settings.skip_pairs)
     journal = Journal(settings.state_dir / "journal.sqlite3")
     site = Site(
+        located_sigma=settings.located_sigma,
         book=Book(journal),
         skip=skip,
         anchor=settings.anchor or journal.noted("anchor"),

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from pose_server.alarms import note_depths
+from pose_server.asking import note_clicks, note_selection, note_solved
 from pose_server.clicks import click_factors, clicks_between, judge
 from pose_server.correspondences.book import Outcome
 from pose_server.fleet.graph import solve_fleet
@@ -92,6 +93,7 @@ def receive_selection(site: Site, selection: Selection, now_s: float) -> list[Vi
     """Pins the views that an operator holds on the screen; returns those that are not kept."""
     views = tuple(view for view in (selection.view_i, selection.view_j) if view is not None)
     site.pin((selection.operator, selection.session), views, now_s)
+    note_selection(site, selection, now_s)
     for view in views:
         look_back(site, view)
     return [view for view in views if view not in site.views]
@@ -114,6 +116,7 @@ def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
             site.dirty = True
             for view in outcome.views:
                 look_back(site, view)
+    note_clicks(site, outcomes)
     return outcomes
 
 
@@ -165,6 +168,7 @@ def solve(site: Site, now_s: float) -> None:
     site.count("solves")
     _choose_anchor(site)
     agenda.appraise(site, now_s)
+    note_solved(site)
 
 
 def judge_correspondences(site: Site) -> list[RobotPair]:

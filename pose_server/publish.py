@@ -245,6 +245,7 @@ def fleet_state(site: Site, settings: ServerSettings, stamp: Stamp, n: int) -> F
         events=tuple(site.events),
         pinned=site.pinned(),
         alarms=site.alarms,
+        answered=site.asking.answers,
     )
 
 

@@ -1,29 +1,81 @@
 """The facts from which the operator's questions are ranked."""
 
-import numpy as np
+from collections import defaultdict
+from collections.abc import Sequence
 
+import numpy as np
+import numpy.typing as npt
+
+from pose_server.fleet import chances
+from pose_server.fleet.chances import Look, Try
 from pose_server.fleet.questions import PairFacts, rank_questions
+from pose_server.geometry.se3 import inverse
 from pose_server.pairs.candidates import similarity
-from pose_server.site import Site
-from protocol.messages import Question
+from pose_server.site import PairRecord, RobotPair, Site, ViewPair
+from protocol.keys import ordered_pair
+from protocol.messages import Question, Suggestion, ViewName
+
+Floats = npt.NDArray[np.floating]
+
+_WITH_SUGGESTIONS = 5  # questions, the first ones
+_MOST_SUGGESTIONS = 8
+# Chance that two views which look quite alike share enough to click, if no found pose is right
+_LIKE_UNTRIED, _LIKE_TRIED, _LEAST = 0.6, 0.15, 0.02
+_USUAL_LIKENESS = 0.5
 
 
 def questions(site: Site) -> tuple[Question, ...]:
-    """What to ask the operator, best first."""
-    if site.solution is None:
+    """What to ask the operator, best first; ranked anew when something changed."""
+    newest = site.newest_keyframes()
+    if site.solution is None or not newest:
         return ()
-    newest = {
-        name: robot.track.newest.keyframe
-        for name, robot in sorted(site.robots.items())
-        if robot.track.newest is not None
-    }
-    if not newest:
-        return ()
+    now = (
+        site.solution,
+        site.anchor,
+        site.counts.get("alignments", 0),
+        len(site.book.all()),
+        sum(site.asking.in_vain.values()),
+        tuple(newest.values()),
+        tuple(pair for pair in site.pairs if _is_up_to_the_operator(site, *pair)),
+    )
+    if site.asking.asked[0] != now:
+        site.asking.asked = (now, _ranked(site, newest))
+    return site.asking.asked[1]
+
+
+def _ranked(site: Site, newest: dict[str, ViewName]) -> tuple[Question, ...]:
+    assert site.solution is not None
     depth_m = float(np.median([site.views[view].median_depth_m for view in newest.values()]))
-    names = list(newest)
-    pairs = [(a, b) for k, a in enumerate(names) for b in names[k + 1 :]]
-    facts = [_facts(site, a, b) for a, b in pairs if _is_up_to_the_operator(site, a, b)]
-    return tuple(rank_questions(site.solution, newest, facts, depth_m, site.anchor))
+    known = {name: view for name, view in newest.items() if view in site.solution.nodes}
+    facts = [
+        _facts(site, pair, known, chance)
+        for pair, chance in _chances(site, known).items()
+        if _is_up_to_the_operator(site, *pair)
+    ]
+    asked = rank_questions(
+        site.solution, newest, facts, depth_m, site.anchor, located_sigma=site.located_sigma
+    )
+    return tuple(
+        _with_suggestions(site, question) if rank < _WITH_SUGGESTIONS else question
+        for rank, question in enumerate(asked)
+    )
+
+
+def _with_suggestions(site: Site, question: Question) -> Question:
+    """The question with the points that aligning its pair came by, about the views in which these
+    were found.
+    """
+    record = site.pairs.get((question.i, question.j))
+    if record is None or record.last is None or record.last_views is None:
+        return question
+    i, j = record.last_views
+    if record.last.suggested is None or i not in site.views or j not in site.views:
+        return question
+    suggestions = tuple(
+        Suggestion(pixel_i=row[:2], pixel_j=row[2:])
+        for row in record.last.suggested[:_MOST_SUGGESTIONS]
+    )
+    return question.model_copy(update={"view_i": i, "view_j": j, "suggestions": suggestions})
 
 
 def _is_up_to_the_operator(site: Site, a: str, b: str) -> bool:
@@ -34,19 +86,123 @@ def _is_up_to_the_operator(site: Site, a: str, b: str) -> bool:
     return record is not None and bool(record.tried) and not record.untried and not record.running
 
 
-def _facts(site: Site, a: str, b: str) -> PairFacts:
-    at_a, at_b = site.robots[a].track.newest, site.robots[b].track.newest
-    assert at_a is not None and at_b is not None
-    record = site.pairs.get((a, b))
+def _chances(site: Site, newest: dict[str, ViewName]) -> dict[RobotPair, float]:
+    """How likely each two robots see enough of the same: by the solution where they are joined, by
+    what aligning the two parts of the fleet left as hypotheses where they are not.
+    """
+    assert site.solution is not None
+    parts: dict[ViewName, list[str]] = defaultdict(list)
+    for name, view in newest.items():
+        parts[site.solution.nodes[view].root].append(name)
+    looks = {root: [_look(site, newest[n]) for n in names] for root, names in parts.items()}
+    found: dict[RobotPair, float] = {}
+    roots = list(parts)
+    for k, a in enumerate(roots):
+        seen = chances.sees(*chances.apart(looks[a], looks[a], np.eye(4)))
+        seen = chances.if_aligned(seen, _aligned_so(site, parts[a], newest))
+        for m, first in enumerate(parts[a]):
+            for n in range(m + 1, len(parts[a])):
+                pair = ordered_pair(first, parts[a][n])
+                found[pair] = float(seen[m, n])
+        for b in roots[k + 1 :]:
+            tries = _tries(site, parts[a], parts[b], newest)
+            table = chances.chances(looks[a], looks[b], tries)
+            for m, first in enumerate(parts[a]):
+                for n, second in enumerate(parts[b]):
+                    found[ordered_pair(first, second)] = float(table[m, n])
+    return found
+
+
+def _aligned_so(
+    site: Site, names: Sequence[str], newest: dict[str, ViewName]
+) -> npt.NDArray[np.bool_]:
+    """(N, N) whether aligning two joined robots found them to stand as the solution has them."""
+    aligned = np.zeros((len(names), len(names)), bool)
+    for m, first in enumerate(names):
+        for n in range(m + 1, len(names)):
+            record = site.pairs.get(ordered_pair(first, names[n]))
+            views = (newest[first], newest[names[n]])
+            if record is None or record.best is None or record.best.T_i_j is None:
+                continue
+            T, known = _carried(site, record, views), site.relative(*views)
+            if T is not None and known is not None:
+                depth_m = site.views[views[0]].median_depth_m
+                aligned[m, n] = chances.alike(T, known, depth_m)
+    return aligned
+
+
+def _look(site: Site, view: ViewName) -> Look:
+    assert site.solution is not None
+    kept = site.views[view]
+    size = (kept.camera.width, kept.camera.height)
+    T = site.solution.nodes[view].T_root_camera
+    return Look(T, kept.camera.K, size, kept.median_depth_m)
+
+
+def _tries(
+    site: Site, names_a: Sequence[str], names_b: Sequence[str], newest: dict[str, ViewName]
+) -> list[Try]:
+    tries = []
+    for m, first in enumerate(names_a):
+        for n, second in enumerate(names_b):
+            pair = ordered_pair(first, second)
+            record = site.pairs.get(pair)
+            like = _likeness(site, newest[first], newest[second])
+            vain = _in_vain(site, pair, newest)
+            best = None if record is None else record.best
+            otherwise = _LEAST + like * (_LIKE_UNTRIED if best is None else _LIKE_TRIED)
+            T = None
+            if record is not None and best is not None and best.T_i_j is not None:
+                T = _carried(site, record, (newest[first], newest[second]))
+            odds = chances.log_odds(None if best is None else best.evidence)
+            tries.append(Try(m, n, T, odds, vain, otherwise))
+    return tries
+
+
+def _likeness(site: Site, a: ViewName, b: ViewName) -> float:
+    """How much two views look alike, compared here only where no alignment says more."""
+    known = site.similarities.get((a, b) if str(a) < str(b) else (b, a))
+    if known is None and ordered_pair(a.robot, b.robot) in site.skip:
+        known = similarity(site, a, b)
+    return _USUAL_LIKENESS if known is None else known
+
+
+def _carried(site: Site, record: PairRecord, to: ViewPair) -> Floats | None:
+    """What a pair's best alignment says of two other keyframes of its robots, T_a_b; none where
+    the solution does not know how these hang together.
+    """
+    assert record.best is not None and record.best.T_i_j is not None
+    assert record.best_views is not None
+    (i, j), T_i_j = record.best_views, record.best.T_i_j
+    if i.robot != to[0].robot:
+        i, j, T_i_j = j, i, inverse(T_i_j)
+    T_a_i = np.eye(4) if i == to[0] else site.relative(to[0], i)
+    T_j_b = np.eye(4) if j == to[1] else site.relative(j, to[1])
+    return None if T_a_i is None or T_j_b is None else T_a_i @ T_i_j @ T_j_b
+
+
+def _in_vain(site: Site, pair: RobotPair, newest: dict[str, ViewName]) -> int:
+    """How often an operator looked at a pair without a click, in the views it is asked by."""
+    record = site.pairs.get(pair, PairRecord())
+    shown = [(newest[pair[0]], newest[pair[1]]), record.best_views, record.last_views]
+    return site.asking.times_in_vain([views for views in shown if views is not None])
+
+
+def _facts(site: Site, pair: RobotPair, newest: dict[str, ViewName], chance: float) -> PairFacts:
+    record = site.pairs.get(pair, PairRecord())
     failed = 0
-    if record is not None and record.best is not None and record.best.verdict == "rejected":
+    if record.best is not None and record.best.verdict == "rejected":
         failed = sum("clicks" in tries for tries in record.tried.values())
     return PairFacts(
-        i=a,
-        j=b,
-        view_i=at_a.keyframe,
-        view_j=at_b.keyframe,
-        similarity=similarity(site, at_a.keyframe, at_b.keyframe),
-        correspondences=len(site.book.of(a, b)),
+        i=pair[0],
+        j=pair[1],
+        view_i=newest[pair[0]],
+        view_j=newest[pair[1]],
+        chance=chance,
+        correspondences=len(site.book.of(*pair)),
         failed=failed,
+        in_vain=_in_vain(site, pair, newest),
+        fruitless=site.asking.fruitless(pair),
+        verified=record.best is not None and record.best.verdict == "verified",
+        why=f"The chance that they show the same is {chance:.0%}.",
     )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from pose_server.asking import Asking
 from pose_server.calibration.memory import Memory
 from pose_server.correspondences.book import Book
 from pose_server.fleet.types import Edge, EdgeKey, FleetSolution, NodePose
@@ -127,6 +128,7 @@ class Site:
     """The state of one site. Only the server's own thread touches it.
 
     Attributes:
+        located_sigma: largest position sigma of a located robot, share of the depth.
         pins: by operator and session.
         agenda: which pairs wait to be aligned.
         kinds: of work of which each has its share.
@@ -138,11 +140,13 @@ class Site:
         held_back: the newest view of each name whose token was not seen yet.
         depths: what pairs say of the robots' depths.
         widening: pairs that wait for wide sets of salient points.
+        asking: what became of the questions.
         alarms_told: robots and kinds of alarms that were an event already.
     """
 
     book: Book
     skip: frozenset[RobotPair] = frozenset()
+    located_sigma: float = 0.05
     anchor: str | None = None
     views: ViewStore = field(default_factory=ViewStore)
     robots: dict[str, Robot] = field(default_factory=dict)
@@ -168,6 +172,7 @@ class Site:
     lifter: Lifter = field(default_factory=Lifter)
     depths: Memory = field(default_factory=Memory)
     widening: Widening = field(default_factory=Widening)
+    asking: Asking = field(default_factory=Asking)
     alarms: tuple[Alarm, ...] = ()
     alarms_told: set[tuple[str, str]] = field(default_factory=set)
     _edge_counts: Counter[RobotPair] = field(default_factory=Counter[RobotPair])
@@ -225,6 +230,14 @@ class Site:
     def keyframes(self) -> list[ViewName]:
         """Of all robots."""
         return [keyframe for robot in self.robots.values() for keyframe in robot.track.keyframes]
+
+    def newest_keyframes(self) -> dict[str, ViewName]:
+        """The keyframe that each robot's newest view hangs on, by robot in order of name."""
+        return {
+            name: robot.track.newest.keyframe
+            for name, robot in sorted(self.robots.items())
+            if robot.track.newest is not None
+        }
 
     def encoded(self, view: ViewName) -> EncodedView:
         """A view for a worker that aligns two robots, without what moves in it, and with its wide

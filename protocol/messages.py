@@ -17,19 +17,12 @@ from protocol.camera import ROBOT_FROM_CAMERA as ROBOT_FROM_CAMERA
 from protocol.camera import Camera
 from protocol.camera import NoiseModel as NoiseModel
 from protocol.fields import Count, Epoch, Many, Moment, Name, NonNegative, Positive, Stamp, Text
+from protocol.questions import Answer as Answer
+from protocol.questions import Question as Question
+from protocol.questions import Suggestion as Suggestion
+from protocol.view_name import ViewName as ViewName
 
 Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
-
-
-class ViewName(Message, frozen=True, schema="fleet.view_name.v1"):
-    """One moment of one robot: image and cloud of it carry the same name."""
-
-    robot: Name
-    epoch: Epoch
-    seq: Count
-
-    def __str__(self) -> str:
-        return f"{self.robot}/{self.epoch}/{self.seq}"
 
 
 class CameraAnnouncement(Message, frozen=True, schema="fleet.camera_announcement.v1"):
@@ -286,19 +279,6 @@ class PairCell(Message, frozen=True, schema="fleet.pair_cell.v1"):
     correspondences: Count = 0
 
 
-class Question(Message, frozen=True, schema="fleet.question.v1"):
-    """What the operator is asked, best first."""
-
-    i: Name
-    j: Name
-    view_i: ViewName
-    view_j: ViewName
-    reason: Text
-    gain: NonNegative = Field(
-        description="expected drop of the fleet's position sigma, m per click"
-    )
-
-
 class RobotState(Message, frozen=True, schema="fleet.robot_state.v1"):
     """One robot in the fleet's state."""
 
@@ -321,11 +301,11 @@ class Alarm(Message, frozen=True, schema="fleet.alarm.v1"):
 class FleetState(
     Message,
     frozen=True,
-    schema="fleet.state.v3",
-    before="fleet.state.v2",
+    schema="fleet.state.v4",
+    before="fleet.state.v3",
     at_most=MAX_MESSAGE_BYTES,
 ):
-    """`fleet/state`: everything a late client needs, at a steady rate. v3 has alarms."""
+    """`fleet/state`: everything a late client needs, at a steady rate. v4 has answers."""
 
     server_epoch: Epoch
     n: Count
@@ -341,6 +321,9 @@ class FleetState(
         default=(), description="selected views that the server keeps: clicks in them will count"
     )
     alarms: Many[Alarm] = Field(default=(), description="that stand now")
+    answered: Many[Answer] = Field(
+        default=(), description="the operators' newest answers, the newest last"
+    )
 
 
 class ServerStatus(Message, frozen=True, schema="fleet.status.v1"):

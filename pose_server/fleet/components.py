@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from pose_server.fleet.clicks import pose_from_clicks
 from pose_server.fleet.forest import Forest
-from pose_server.fleet.links import PLAUSIBLE, Link, link
+from pose_server.fleet.links import CONFIRMED, Link, link
 from pose_server.fleet.types import ClickFactor, SolveSettings
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.noise import chi2_limit
@@ -195,7 +195,7 @@ def _join_by_clicks(agreement: _Agreement, clicks: Sequence[tuple[int, int, Clic
             )
         except DegenerateGeometryError:
             continue  # they stay apart; the clicks wait for more
-        return forest.join(link(ref_a, ref_b, T, covariance, PLAUSIBLE))
+        return forest.join(link(ref_a, ref_b, T, covariance, CONFIRMED))
     return False
 
 

@@ -12,9 +12,11 @@ from protocol.messages import Verdict, ViewName
 
 Floats = npt.NDArray[np.floating]
 
-VERIFIED, PLAUSIBLE, CONTESTED = 2, 1, 0
+VERIFIED, CONFIRMED, PLAUSIBLE, CONTESTED = 3, 2, 1, 0
+"""An operator confirmed what is no more than plausible: it is believed rather than its rivals."""
 VERDICT_OF_RANK: dict[int, Verdict] = {
     VERIFIED: "verified",
+    CONFIRMED: "plausible",
     PLAUSIBLE: "plausible",
     CONTESTED: "ambiguous",
 }
@@ -62,9 +64,9 @@ def rank_of(edge: Edge) -> int | None:
     """How far an edge is trusted; None if it is not used at all."""
     if edge.verdict == "verified":
         return VERIFIED
-    if edge.verdict == "plausible" or (edge.operator and edge.verdict == "ambiguous"):
-        return PLAUSIBLE
-    return None
+    if edge.operator and edge.verdict in ("plausible", "ambiguous"):
+        return CONFIRMED
+    return PLAUSIBLE if edge.verdict == "plausible" else None
 
 
 def joins_alone(edge: Edge) -> bool:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from pose_server.fleet import factors as gt
 from pose_server.fleet.forest import Forest, Reached, Sets, without_bridges
 from pose_server.fleet.layout import FleetInput, Layout
-from pose_server.fleet.links import CONTESTED, VERIFIED, Link
+from pose_server.fleet.links import CONFIRMED, CONTESTED, VERIFIED, Link
 from pose_server.geometry.noise import chi2_limit
 from pose_server.geometry.se3 import inverse, rotation_angle
 
@@ -163,14 +163,19 @@ class _Problem:
 
     def judged(self, aside: Bools) -> Bools:
         """Outliers by graduated non-convexity, those set aside left out of it: the verified links
-        among themselves, then the others against what these hold together. Aliases of a repeated
-        structure agree with each other, so a majority of plausible links proves nothing against a
-        verified one.
+        among themselves, then those that an operator confirmed against what these hold together,
+        then the others. Aliases of a repeated structure agree with each other, so a majority of
+        plausible links proves nothing against a better one.
         """
-        verified = np.array([link.rank >= VERIFIED for link in self.links], bool)
-        asked = ~aside | self._certain
-        trusted = self._agreeing(verified & asked, self._certain)
-        return ~self._agreeing((trusted | ~verified) & asked, trusted) & ~self._certain
+        ranks = np.array([link.rank for link in self.links], int)
+        left = ~aside & ~self._certain
+        trusted = self._certain
+        for least in (VERIFIED, CONFIRMED, CONTESTED):
+            asked = left & (ranks >= least)
+            if asked.any():
+                trusted = self._agreeing(trusted | asked, trusted)
+            left &= ~asked
+        return ~trusted & ~self._certain
 
     def _agreeing(self, asked: Bools, known: Bools) -> Bools:
         """(M,) which of the asked links belong together; the known ones are not in question."""

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from pose_server.pairs.byproducts import with_byproducts
+from pose_server.pairs.byproducts import with_byproducts, with_suggestions
 from pose_server.pairs.judging import PairResult, judged
 from pose_server.pairs.pair import RATIO, WIDE_RATIO, Pair
 from pose_server.pairs.refining import (
@@ -98,7 +98,8 @@ def align_wide(
         result = _judge_best(pair, candidates) if candidates else usual
     result = _finished(pair, candidates, result)
     timings = {**usual.timings_ms, "wide": 1e3 * (time.perf_counter() - began)}
-    return replace(result, timings_ms=timings, depths=usual.depths, moving=usual.moving)
+    result = replace(result, timings_ms=timings, depths=usual.depths, moving=usual.moving)
+    return with_suggestions(pair, result)
 
 
 def align_from(

@@ -1,5 +1,5 @@
 """What an alignment tells besides the pose: whether the depths of two robots' views fit each other,
-and what moves in two views of one robot.
+what moves in two views of one robot, and which points an operator might confirm.
 """
 
 from dataclasses import replace
@@ -11,6 +11,7 @@ from pose_server.calibration.compare import DepthErrors, compare_depths
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.moving import moving_masks
 from pose_server.pairs.pair import Pair
+from pose_server.pairs.suggesting import suggested
 from pose_server.pairs.views import PreparedView
 
 _FAR = 0.5  # median depth over depth
@@ -20,7 +21,14 @@ def with_byproducts(pair: Pair, result: PairResult) -> PairResult:
     """The result with what else the two views tell."""
     if pair.i.name.robot == pair.j.name.robot:
         return replace(result, moving=moving_masks(pair, result))
-    return replace(result, depths=depths_of(pair, result))
+    return with_suggestions(pair, replace(result, depths=depths_of(pair, result)))
+
+
+def with_suggestions(pair: Pair, result: PairResult) -> PairResult:
+    """The result with points for an operator to confirm, where it is not verified."""
+    if result.verdict == "verified":
+        return replace(result, suggested=None)
+    return replace(result, suggested=suggested(pair, result.T_i_j))
 
 
 def depths_of(pair: Pair, result: PairResult) -> DepthErrors | None:

@@ -30,7 +30,8 @@ _MOST_PIXEL_NOISE = 4.0  # that may be found at a pose: an alias shows by it
 class PairResult:
     """An alignment and how good it is. Poses are camera j in camera i, covariances left, rotation
     first. `depths` tells how the depths of both views fit each other, whatever the
-    verdict; `moving` what moves in two views of one robot.
+    verdict; `moving` what moves in two views of one robot; `suggested` (M, 4) pixels of both views,
+    u_i v_i u_j v_j, that an operator might confirm, best first; only where it is not verified.
     """
 
     T_i_j: Floats | None
@@ -47,6 +48,7 @@ class PairResult:
     timings_ms: dict[str, float] = field(default_factory=dict)
     depths: DepthErrors | None = None
     moving: tuple[Mask | None, Mask | None] = (None, None)
+    suggested: Floats | None = None
 
 
 def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None) -> PairResult:

@@ -66,6 +66,13 @@ def judge(e: Evidence) -> tuple[Verdict, tuple[str, ...]]:
     return "verified", (f"{e.inliers} matches agree to {e.across_px:.2f} px",)
 
 
+def needed_matches(ratio_matches: int) -> int:
+    """How many unguided matches must agree: of more wrong ones more agree with some pose by
+    chance.
+    """
+    return 10 + ratio_matches // 100
+
+
 def _against(e: Evidence) -> tuple[str, ...]:
     """Signs that the pose is wrong, or that nothing supports it."""
     return _said(
@@ -79,7 +86,7 @@ def _against(e: Evidence) -> tuple[str, ...]:
 def _doubts(e: Evidence) -> tuple[str, ...]:
     """What keeps a pose from being verified."""
     allowed_px = 1.5 * e.pixel_sigma_px
-    needed = 10 + e.ratio_matches // 100  # of more wrong ones more agree with some pose by chance
+    needed = needed_matches(e.ratio_matches)
     off = 3 * e.position_sigma + e.shift + e.pulled
     return _said(
         (e.inliers < 14, f"{e.inliers} matches agree, need 14"),

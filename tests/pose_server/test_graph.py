@@ -195,6 +195,19 @@ def test_triangle_of_plausible_edges_joins_only_if_it_closes():
     assert not joined(WRONG)
 
 
+def test_plausible_alias_makes_what_an_operator_confirmed_neither_ambiguous_nor_wrong():
+    edges = [
+        edge(NODES, TRUTH, 0, 1, None),
+        edge(NODES, TRUTH, 0, 2, None, verdict="plausible", operator=True),
+        edge(NODES, TRUTH, 1, 2, None, verdict="plausible", offset=WRONG),
+    ]
+    solution = solve(edges)
+    assert solution.edges[edges[2].key].outlier and not solution.edges[edges[1].key].contested
+    assert solution.nodes[NODES[2]].verdict == "plausible"
+    expected = inverse(TRUTH[0]) @ TRUTH[2]
+    assert np.allclose(solution.nodes[NODES[2]].T_root_camera, expected, atol=1e-6)
+
+
 def test_operator_edge_joins_though_only_plausible():
     solution = solve([edge(NODES, TRUTH, 0, 1, None, verdict="plausible", operator=True)])
     assert solution.joined(NODES[0], NODES[1])

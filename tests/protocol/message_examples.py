@@ -94,7 +94,19 @@ CORRESPONDENCE = m.Correspondence(
     revision=2,
 )
 CELL = m.PairCell(i="r1", j="r2", state="tried", verdict="rejected", rmse_m=0.5)
-QUESTION = m.Question(i="r1", j="r2", view_i=V1, view_j=V2, reason="joins two parts", gain=0.4)
+SUGGESTION = m.Suggestion(pixel_i=PIXEL, pixel_j=np.array([30.0, 8.5]))
+QUESTION = m.Question(
+    i="r1",
+    j="r2",
+    view_i=V1,
+    view_j=V2,
+    reason="joins two parts",
+    gain=0.4,
+    suggestions=(SUGGESTION,),
+)
+ANSWER = m.Answer(
+    i="r1", j="r2", clicks=3, predicted=0.4, realised=0.5, joined=("r2",), text="joined r2"
+)
 ROBOT_STATE = m.RobotState(
     robot="r1", alive=True, newest_view=V1, views_kept=3, pose=POSE, why_not=""
 )
@@ -163,7 +175,9 @@ EXAMPLES = {
         ),
         m.Selection(operator="op", session=EPOCH, i="r1", j="r2", view_i=V1, view_j=V2),
         CELL,
+        SUGGESTION,
         QUESTION,
+        ANSWER,
         ROBOT_STATE,
         ALARM,
         m.FleetState(
@@ -179,6 +193,7 @@ EXAMPLES = {
             events=("r1 joined",),
             pinned=(V1,),
             alarms=(ALARM,),
+            answered=(ANSWER,),
         ),
         m.ServerStatus(
             server_epoch=EPOCH,

@@ -9,7 +9,11 @@ from protocol.errors import CodecError
 from tests.protocol import golden
 from tests.protocol.message_examples import DEPTH_M, EXAMPLES, SCATTERED_UVZ
 
-ADDED = {"fleet.state.v2": {"alarms": ()}}
+BARE_QUESTION = EXAMPLES[m.Question].model_dump() | {"suggestions": ()}
+ADDED = {
+    "fleet.question.v1": {"suggestions": ()},
+    "fleet.state.v3": {"answered": (), "questions": (BARE_QUESTION,)},
+}
 """What the reader puts where an earlier version had no field yet."""
 READ = [(c, c.schema_name) for c in m.MESSAGES] + [
     (c, c.schema_before) for c in m.MESSAGES if c.schema_before is not None

@@ -1,0 +1,1 @@
+"""What the ranking of questions saves an operator."""

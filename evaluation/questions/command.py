@@ -1,0 +1,55 @@
+"""`pose-eval questions`: clicks until the fleet is located, by what the operator goes by."""
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from evaluation.datasets import CloudKind, open_recording
+from evaluation.questions.play import Played, Task, play
+from evaluation.questions.policies import POLICIES
+from evaluation.questions.report import write_results
+from evaluation.report import output_folder, progress_bar
+from evaluation.working import as_done, on_the_wire, worker_pool
+from protocol.errors import DataFolderError
+
+
+@dataclass(frozen=True)
+class QuestionsOptions:
+    """What `pose-eval questions` is asked for: so many drawn fleets, from the first seed on."""
+
+    data: Path
+    clouds: CloudKind | None = None
+    seeds: int = 20
+    first: int = 0
+    workers: int = 2
+
+
+def run(options: QuestionsOptions, out: Path) -> dict[str, Any]:
+    """Draws fleets, has every policy ask in each, writes the results; returns the summary.
+
+    Raises:
+        FleetPoseError: the data cannot be used, or no drawn fleet needs an operator.
+    """
+    recording = open_recording(options.data, options.clouds)
+    output_folder(out)
+    with (
+        tempfile.TemporaryDirectory(prefix="fleetpose-") as folder,
+        worker_pool(options.workers) as pool,
+        progress_bar() as progress,
+    ):
+        wires, _ = on_the_wire(recording, recording.usable, Path(folder), pool, progress, seed=0)
+        task = progress.add_task("fleets", total=options.seeds)
+        seeds = range(options.first, options.first + options.seeds)
+        jobs = ((seed, (play, Task(recording, wires, seed))) for seed in seeds)
+        found: dict[int, Played] = {}
+        for seed, played in as_done(pool, jobs, in_flight=options.workers):
+            if played is not None:
+                found[seed] = played
+            progress.advance(task)
+    if not found:
+        raise DataFolderError(
+            f"{recording.directory}: no draw of its views is a fleet that needs an operator and "
+            "can be joined by one"
+        )
+    return write_results(out, [found[seed] for seed in sorted(found)], list(POLICIES))

@@ -1,0 +1,257 @@
+"""What the workers do for one seed: draw a fleet, and let every policy ask until it is located."""
+
+import pickle
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from evaluation.datasets import Recording, TrueView, are_partners, points_of
+from evaluation.geometry import Floats, inverse, transform
+from evaluation.interaction.fleet import connected
+from evaluation.interaction.hand import right_clicks
+from evaluation.interaction.truth import true_pixels
+from evaluation.interaction.worker import kept, takes, with_wide
+from evaluation.questions.policies import POLICIES
+from evaluation.questions.server import FleetServer, RobotPair, named_pairs
+from evaluation.scoring import Limits, position_error_m, rotation_error_deg
+from pose_server.questions import questions
+
+if TYPE_CHECKING:
+    from pose_server.pairs.judging import PairResult
+
+ROBOTS = (8, 12)
+ENOUGH_SHARED = 10  # points that both views see: a fair operator finds three of them
+CLICKS, CLICKS_FOR_NOTHING = 3, 2
+MOST_PER_ROBOT = 10
+TRUE_PX = 3.0
+_DRAWS = 200
+_SMALLEST = 3
+_SAME_PX = 1.5  # a pixel and a recorded point's
+
+
+@dataclass(frozen=True)
+class Task:
+    """One seed of a recording; `wires` is what the robots of all views sent, by index."""
+
+    recording: Recording
+    wires: dict[int, Path]
+    seed: int
+
+
+@dataclass
+class Run:
+    """One fleet, asked about by one policy.
+
+    Attributes:
+        components: that the automatic path leaves.
+        minimum: clicks that join them if each pair asked for works at once.
+        clicks: until all robots were located; the most allowed where they never were.
+        asked: pairs, in their order, as indices of the views.
+        in_vain: how many of these had too few points in common.
+        grave: a robot is located and gravely off.
+    """
+
+    seed: int
+    policy: str
+    robots: int
+    components: int
+    minimum: int
+    clicks: int = 0
+    located: bool = False
+    asked: list[tuple[int, int]] = field(default_factory=list)
+    in_vain: int = 0
+    grave: bool = False
+
+
+@dataclass
+class Played:
+    """All policies on one fleet; of the points suggested with the first questions that could be
+    judged, the rank of their question and whether they are true.
+    """
+
+    runs: list[Run]
+    suggestions: list[tuple[int, bool]] = field(default_factory=list)
+
+
+def play(task: Task) -> Played | None:
+    """Draws the seed's fleet and plays all policies; none if there is no such fleet."""
+    drawn = draw_fleet(task)
+    if drawn is None:
+        return None
+    played = Played([])
+    for policy in POLICIES:
+        server = server_of(task, drawn)
+        if not played.runs:
+            played.suggestions = judged_suggestions(task, server)
+        played.runs.append(_asked(task, server, policy))
+    return played
+
+
+def draw_fleet(task: Task) -> tuple[int, ...] | None:
+    """Views of 8 to 12 robots anywhere on the recording, no two of them stereo partners.
+
+    Only fleets count that need the operator and that an operator can help: the automatic path
+    leaves several components, and pairs of views with ten points in common connect them. Where the
+    views are so near to each other that no draw falls apart, fewer robots are drawn.
+    """
+    rng = np.random.default_rng(task.seed)
+    usable = [view for view in task.recording.usable if view.index in task.wires]
+    low, high = (min(n, len(usable)) for n in ROBOTS)
+    for number in range(_DRAWS):
+        fewer = number // 20  # the first twenty draws are as asked for
+        count = max(int(rng.integers(low, high + 1)) - fewer, _SMALLEST)
+        chosen = [usable[k] for k in rng.choice(len(usable), min(count, len(usable)), False)]
+        views: list[TrueView] = []
+        for view in chosen:
+            if not any(are_partners(view, other) for other in views):
+                views.append(view)
+        indices = tuple(view.index for view in views)
+        components = server_of(task, indices).components
+        if len(components) > 1 and _can_be_joined(task, views, components):
+            return indices
+    return None
+
+
+def server_of(task: Task, views: Sequence[int]) -> FleetServer:
+    """The drawn fleet, after all pairs were aligned automatically."""
+    wires = {index: task.wires[index] for index in views}
+    names = {kept(wire).name.robot: wire for wire in wires.values()}
+    results = {(a, b): aligned(names[a], names[b]) for a, b in named_pairs(list(names))}
+    return FleetServer(wires, results)
+
+
+def aligned(wire_i: Path, wire_j: Path) -> "PairResult":
+    """The automatic alignment of two views as the server does it; every pair once for all
+    workers.
+    """
+    file = wire_i.parent / f"{wire_i.stem}-{wire_j.stem}.aligned"
+    if file.exists():
+        return pickle.loads(file.read_bytes())
+    from pose_server.pairs.align import is_settled
+    from pose_server.pairs.engine import Job, run_job
+
+    i, j = kept(wire_i).encoded, kept(wire_j).encoded
+    result = run_job(Job("pair", i, j))
+    if not is_settled(result):
+        result = run_job(Job("pair", with_wide(i, wire_i), with_wide(j, wire_j), usual=result))
+    mine = file.with_suffix(f".{np.random.default_rng().integers(2**60)}")
+    mine.write_bytes(pickle.dumps(result))
+    mine.replace(file)
+    return result
+
+
+def _can_be_joined(task: Task, views: Sequence[TrueView], components: Sequence[set[str]]) -> bool:
+    number = {kept(task.wires[view.index]).name.robot: view.index for view in views}
+    of = {number[name]: k for k, names in enumerate(components) for name in names}
+    links = [
+        (of[i.index], of[j.index])
+        for i, j in combinations(views, 2)
+        if of[i.index] != of[j.index] and len(true_pixels(task.recording, i, j)[0]) >= ENOUGH_SHARED
+    ]
+    joined = connected([*links, *((k, k) for k in range(len(components)))])
+    return len(joined) == 1
+
+
+def _asked(task: Task, server: FleetServer, policy: str) -> Run:
+    """Asks by a policy until all are located, or there were ten clicks per robot."""
+    components = len(server.components)
+    run = Run(task.seed, policy, len(server.views), components, CLICKS * (components - 1))
+    most = MOST_PER_ROBOT * run.robots
+    visits: Counter[RobotPair] = Counter()
+    rng = np.random.default_rng((task.seed, 1))
+    while not (located := server.all_located()) and run.clicks < most:
+        pair = POLICIES[policy](server, visits, rng)
+        if pair is None:
+            break
+        views = (server.views[pair[0]], server.views[pair[1]])
+        clicks = clicks_in(task, views, visits[pair])
+        visits[pair] += 1
+        run.asked.append(views)
+        server.visit(pair, clicks)
+        if clicks:
+            run.clicks += CLICKS
+        else:
+            run.clicks += CLICKS_FOR_NOTHING
+            run.in_vain += 1
+    run.located = located
+    run.grave = _gravely_off(task, server)
+    run.clicks = min(run.clicks, most) if located else most
+    return run
+
+
+def _gravely_off(task: Task, server: FleetServer) -> bool:
+    """Whether a located robot is gravely off, the anchor as gauge."""
+    placed = server.located_cameras()
+    anchor = server.site.anchor
+    if anchor is None or anchor not in placed:
+        return False
+    depth_m = float(np.median([view.median_depth_m for view in map(server.kept, placed)]))
+    limits = Limits.of(depth_m, task.recording.is_rgbd)
+    views = {name: task.recording.views[server.views[name]] for name in placed}
+    for name, T_fleet_camera in placed.items():
+        T = inverse(placed[anchor]) @ T_fleet_camera
+        T_true = inverse(views[anchor].T_world_camera) @ views[name].T_world_camera
+        if limits.grave(position_error_m(T_true, T), rotation_error_deg(T_true, T)):
+            return True
+    return False
+
+
+def clicks_in(task: Task, views: tuple[int, int], visit: int) -> list[tuple[Floats, Floats]]:
+    """Three true correspondences as clicked on a visit to two views, other ones on each; none where
+    there are not enough. They are the same whoever asks.
+    """
+    i, j = views
+    seen = (kept(task.wires[i]), kept(task.wires[j]))
+    sizes = tuple((view.camera.width, view.camera.height) for view in seen)
+    rng = np.random.default_rng((task.seed, *sorted(views)))
+    true = true_pixels(task.recording, task.recording.views[i], task.recording.views[j])
+    wanted = CLICKS * (visit + 1)
+    made = right_clicks(true, wanted, rng, (sizes[0], sizes[1]), takes(seen))
+    if len(made) < wanted:
+        return []
+    return list(zip(made.pixels[0][-CLICKS:], made.pixels[1][-CLICKS:], strict=True))
+
+
+def judged_suggestions(task: Task, server: FleetServer) -> list[tuple[int, bool]]:
+    """Of the points that come with the first questions those that show a place whose depth is
+    recorded: the rank of their question, and whether they are true to 3 px.
+    """
+    judged = []
+    for rank, question in enumerate(questions(server.site)):
+        i, j = (
+            task.recording.views[server.views[name.robot]]
+            for name in (question.view_i, question.view_j)
+        )
+        T_j_i = inverse(j.T_world_camera) @ i.T_world_camera
+        for one in question.suggestions:
+            place = _true_place(task.recording, i, one.pixel_i)
+            if place is None:
+                continue
+            u, v, w = j.K @ transform(T_j_i, place[None])[0]
+            off_px = np.hypot(u / w - one.pixel_j[0], v / w - one.pixel_j[1])
+            judged.append((rank, bool(w > 0 and off_px < TRUE_PX)))
+    return judged
+
+
+def _true_place(recording: Recording, view: TrueView, pixel: Floats) -> Floats | None:
+    """(3,) the recorded point at a pixel, without the noise of the view's own cloud where there are
+    points of several views.
+    """
+    sparse = recording.directory / "sparse" / Path(view.name).with_suffix(".npz").name
+    uv, points = _recorded_points(sparse if sparse.exists() else view.cloud, view)
+    nearest = int(np.linalg.norm(uv - pixel, axis=1).argmin())
+    return points[nearest] if np.linalg.norm(uv[nearest] - pixel) < _SAME_PX else None
+
+
+_recorded: dict[Path | None, tuple[Floats, Floats]] = {}  # a worker serves one recording
+
+
+def _recorded_points(cloud: Path | None, view: TrueView) -> tuple[Floats, Floats]:
+    if cloud not in _recorded:
+        _recorded[cloud] = points_of(replace(view, cloud=cloud))
+    return _recorded[cloud]

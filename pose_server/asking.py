@@ -1,0 +1,174 @@
+"""What became of the questions: what operators looked at in vain, and what their clicks did."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pose_server.correspondences.book import Outcome
+from pose_server.fleet.questions import CLICKS_TO_JOIN, Standing, standing
+from protocol.keys import ordered_pair
+from protocol.messages import Answer, Question, Selection, ViewName
+
+if TYPE_CHECKING:
+    from pose_server.site import Site
+
+RobotPair = tuple[str, str]
+ViewPair = tuple[ViewName, ViewName]
+Client = tuple[str, str]
+
+_LOOKED_S = 3.0  # a shorter glance says nothing
+_FRUITLESS = 0.2  # of the predicted gain
+_MOST_CLIENTS = 64
+_MOST_ANSWERS = 10
+_MOST_LOOKED = 10_000
+
+
+@dataclass(frozen=True)
+class Look:
+    """A pair on an operator's screen: since when, and how many correspondences it had then."""
+
+    pair: RobotPair
+    keyframes: ViewPair
+    since_s: float
+    correspondences: int
+
+
+@dataclass
+class Open:
+    """Clicks in a pair whose effect is still being watched.
+
+    Attributes:
+        predicted_m: drop of the mean sigma per click, as the pair was asked for.
+        before: how the fleet stood.
+        told: whether an event said what they did.
+    """
+
+    pair: RobotPair
+    predicted_m: float
+    before: Standing
+    clicks: int = 0
+    told: bool = False
+
+
+@dataclass
+class Asking:
+    """Memory of questions and answers.
+
+    Attributes:
+        looks: what each operator's client shows now.
+        in_vain: how often keyframes were looked at without a click.
+        open: the pair that was clicked in last.
+        answers: the newest last; that of the open pair still changes.
+        asked: the questions as they were ranked last, and what they were ranked from.
+    """
+
+    looks: dict[Client, Look] = field(default_factory=dict)
+    in_vain: dict[ViewPair, int] = field(default_factory=dict)
+    open: Open | None = None
+    answers: tuple[Answer, ...] = ()
+    asked: tuple[object, tuple[Question, ...]] = (None, ())
+
+    def times_in_vain(self, pairs: Sequence[ViewPair]) -> int:
+        """How often an operator looked at any of these keyframes in vain."""
+        return sum(self.in_vain.get(views, 0) for views in dict.fromkeys(pairs))
+
+    def fruitless(self, pair: RobotPair) -> int:
+        """Sets of three clicks in a pair of joined robots that did far less than was expected."""
+        return sum(
+            answer.clicks // CLICKS_TO_JOIN
+            for answer in self.answers
+            if (answer.i, answer.j) == pair
+            and not answer.joined
+            and answer.realised < _FRUITLESS * answer.predicted
+        )
+
+
+def note_selection(site: "Site", selection: Selection, now_s: float) -> None:
+    """An operator turns to a pair, or away from one: without a click that was in vain."""
+    client = (selection.operator, selection.session)
+    before = site.asking.looks.get(client)
+    here = _look(site, selection, now_s)
+    if before is not None and here is not None and here.keyframes == before.keyframes:
+        return
+    site.asking.looks.pop(client, None)
+    if here is not None:
+        fresh = list(site.asking.looks.items())[-_MOST_CLIENTS + 1 :]
+        site.asking.looks = dict([*fresh, (client, here)])
+    if before is None or now_s - before.since_s < _LOOKED_S:
+        return
+    if len(site.book.of(*before.pair)) > before.correspondences:
+        return
+    vain = site.asking.in_vain
+    if before.keyframes in vain or len(vain) < _MOST_LOOKED:
+        vain[before.keyframes] = vain.get(before.keyframes, 0) + 1
+
+
+def note_clicks(site: "Site", outcomes: Sequence[Outcome]) -> None:
+    """New correspondences of a pair open its answer; those of another pair close the one before."""
+    for outcome in outcomes:
+        if not outcome.accepted or outcome.action != "add":
+            continue
+        opened = site.asking.open
+        if opened is None or opened.pair != outcome.pair:
+            now = _standing(site)
+            if now is None:
+                continue
+            gains = {(q.i, q.j): q.gain for q in site.asking.asked[1]}
+            opened = Open(outcome.pair, gains.get(outcome.pair, 0.0), now)
+            site.asking.open = opened
+            site.asking.answers = (*site.asking.answers, _answer(opened, now))[-_MOST_ANSWERS:]
+        opened.clicks += 1
+
+
+def note_solved(site: "Site") -> None:
+    """What the clicks of the open pair did so far; an event when it shows."""
+    opened, now = site.asking.open, _standing(site)
+    if opened is None or now is None:
+        return
+    answer = _answer(opened, now)
+    site.asking.answers = (*site.asking.answers[:-1], answer)
+    record = site.pair(*opened.pair)
+    at_work = record.clicks_due or record.running
+    if not opened.told and (answer.joined or opened.clicks >= CLICKS_TO_JOIN) and not at_work:
+        opened.told = True
+        site.say(answer.text)
+
+
+def _standing(site: "Site") -> Standing | None:
+    newest = site.newest_keyframes()
+    if site.solution is None or not newest:
+        return None
+    depth_m = float(np.median([site.views[view].median_depth_m for view in newest.values()]))
+    return standing(site.solution, newest, depth_m, site.anchor)
+
+
+def _answer(opened: Open, now: Standing) -> Answer:
+    i, j = opened.pair
+    predicted = opened.predicted_m * opened.clicks
+    realised = opened.before.mean_sigma_m - now.mean_sigma_m
+    joined = tuple(sorted(now.joined - opened.before.joined))
+    names = ", ".join(joined[:4]) + (" and others" if len(joined) > 4 else "")
+    did = f"joined {names}; " if joined else ""
+    points = "1 point" if opened.clicks == 1 else f"{opened.clicks} points"
+    return Answer(
+        i=i,
+        j=j,
+        clicks=opened.clicks,
+        predicted=predicted,
+        realised=realised,
+        joined=joined,
+        text=f"{points} in {i} and {j}: {did}the fleet is known {abs(realised):.2g} m "
+        f"{'worse' if realised < 0 else 'better'} on average ({predicted:.2g} m expected)",
+    )
+
+
+def _look(site: "Site", selection: Selection, now_s: float) -> Look | None:
+    views = [view for view in (selection.view_i, selection.view_j) if view is not None]
+    here = [at for at in map(site.attached, views) if at is not None]
+    if len(here) != 2 or here[0].keyframe.robot == here[1].keyframe.robot:
+        return None
+    a, b = sorted((at.keyframe for at in here), key=lambda keyframe: keyframe.robot)
+    pair = ordered_pair(a.robot, b.robot)
+    return Look(pair, (a, b), now_s, len(site.book.of(*pair)))
