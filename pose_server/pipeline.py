@@ -33,7 +33,7 @@ from protocol.keys import ordered_pair
 from protocol.messages import OperatorUpdate, Selection, ViewName
 
 _COVARIANCES_AT_ONCE = 24  # made anew in a solve
-_SHARES = {"track": 4.0, "pair": 4.0, "wide": 2.0}  # of the robots' own work
+_SHARES = {"track": 4.0, "pair": 4.0, "wide": 2.0, "search": 2.0}  # of work nobody looks at
 
 
 def receive_view(site: Site, view: KeptView) -> None:
@@ -250,27 +250,45 @@ def _choose_anchor(site: Site) -> None:
 
 
 def _click_job(site: Site) -> Job | None:
+    """The next pair whose correspondences changed. What features said of its views is known."""
     for (a, b), record in site.pairs.items():
         if not record.clicks_due or record.running:
             continue
         record.clicks_due = False
-        found = clicks_between(site, a, b)
-        if found is None:
+        job = _with_clicks(site, a, b)
+        if job is None:
             _unlink_operator(site, a, b)
             continue
-        views, clicks = found
-        i, j = views
         record.running = True
-        job = Job(
-            "clicks",
-            site.encoded(i),
-            site.encoded(j),
-            starts=_known_starts(site, i, j),
-            features=(a, b) not in site.skip,
-            clicks=clicks,
-        )
         return replace(job, known=_known_of(record, job))
     return None
+
+
+def _search_job(site: Site) -> Job | None:
+    """The next pair whose clicks found nothing sure quickly: features are asked beside them."""
+    for (a, b), record in site.pairs.items():
+        if record.search_due and not (record.running or record.clicks_due):
+            record.search_due = False
+            if (job := _with_clicks(site, a, b)) is not None:
+                record.running = True
+                return job
+    return None
+
+
+def _with_clicks(site: Site, a: str, b: str) -> Job | None:
+    """A pair's correspondences, to be aligned between the views that most of them hang on."""
+    found = clicks_between(site, a, b)
+    if found is None:
+        return None
+    (i, j), clicks = found
+    return Job(
+        "clicks",
+        site.encoded(i),
+        site.encoded(j),
+        starts=_known_starts(site, i, j),
+        features=(a, b) not in site.skip,
+        clicks=clicks,
+    )
 
 
 def _known_of(record: PairRecord, job: Job) -> PairResult | None:
@@ -291,6 +309,8 @@ def _robots_job(site: Site, now_s: float) -> Job | None:
                 job = track_job(site)
             case "wide":
                 job = wide_job(site)
+            case "search":
+                job = _search_job(site)
             case _:
                 job = _pair_job(site, now_s)
         if job is not None:
@@ -329,6 +349,8 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
         return
     note_depths(site, done)
     record.tried.setdefault((i, j), set()).add(done.job.purpose)
+    if done.job.purpose == "clicks":
+        record.search_due = done.job.known is not None and done.result.verdict != "verified"
     if done.job.features and done.job.known is None:
         record.searched[i, j] = (done.result, done.job.wide)
     note_open(site, done)

@@ -99,6 +99,7 @@ class PairRecord:
         tried: keyframe pairs aligned, and by which kinds of starts.
         searched: what features gave for keyframe pairs, and whether by their wide sets.
         clicks_due: the operator's set changed and was not aligned since.
+        search_due: it was, but without asking features again, and nothing sure was found.
         last: the newest alignment, its views and when it ended.
     """
 
@@ -107,6 +108,7 @@ class PairRecord:
     searched: dict[ViewPair, tuple[PairResult, bool]] = field(default_factory=dict)
     running: bool = False
     clicks_due: bool = False
+    search_due: bool = False
     last: PairResult | None = None
     last_views: ViewPair | None = None
     last_s: float = -np.inf

@@ -130,9 +130,12 @@ class FleetServer:
             pipeline.receive_update(self.site, update)
         self._now_s += LOOKED_S
         self._select(None)
-        while (job := pipeline.next_job(self.site, self._now_s)) is not None:
+        while (job := self._next_job()) is not None:
             pipeline.take_result(self.site, Done(job, run_job(job)), self._now_s)
         self._solve()
+
+    def _next_job(self) -> Job | None:
+        return pipeline.urgent_job(self.site) or pipeline.next_job(self.site, self._now_s)
 
     def _select(self, pair: RobotPair | None) -> None:
         i, j = (None, None) if pair is None else pair
