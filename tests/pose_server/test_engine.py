@@ -141,7 +141,7 @@ def test_workers_end_with_their_parent_however_that_ends():
         assert len(children) == 3 and all(is_there(pid) for pid in children)
         parent.kill()
         parent.wait()
-        assert wait_until(lambda: not any(is_there(pid) for pid in children), 5.0)
+        assert wait_until(lambda: not any(is_there(pid) for pid in children), DONE_S)
     finally:
         parent.kill()
         parent.communicate()
@@ -151,6 +151,7 @@ PARENT = """
 import sys
 from pose_server.pairs.workers import LocalPool
 if __name__ == "__main__":
-    print(*LocalPool(2).pids(), flush=True)
+    pool = LocalPool(2)
+    print(*pool.pids(), flush=True)
     sys.stdin.read()
 """
