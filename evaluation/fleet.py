@@ -255,7 +255,7 @@ def start(
     cluster: str | None = None,
 ) -> None:
     """Starts router, world, server and robots."""
-    start_servers(fleet, plan, workers, state, skip_pairs)
+    start_servers(fleet, plan, workers, state, skip_pairs, cluster)
     if plan.replayed:
         replayed = load.arguments(plan, HELD_RATE_HZ, plan.frames)
         fleet.start(LOAD, "evaluation", "load", *fleet.connection, *replayed)
@@ -271,7 +271,12 @@ def start_robot(fleet: LocalFleet, robot: RobotPlan) -> None:
 
 
 def start_servers(
-    fleet: LocalFleet, plan: FleetPlan, workers: int, state: Path, skip_pairs: Path | None = None
+    fleet: LocalFleet,
+    plan: FleetPlan,
+    workers: int,
+    state: Path,
+    skip_pairs: Path | None = None,
+    cluster: str | None = None,
 ) -> None:
     """Starts router, world and server."""
     fleet.start_router()
