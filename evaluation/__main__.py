@@ -292,22 +292,36 @@ def questions(
 def faults(
     out: Out,
     kills: Annotated[
-        int, typer.Option(min=0, help="Kill processes at random moments; 0: not this.")
-    ] = 20,
+        int | None, typer.Option(min=0, help="Kill processes at random moments. [default: 20]")
+    ] = None,
     freeze: Annotated[
-        float, typer.Option(min=0, help="Freeze one client so many seconds; 0: not this.")
-    ] = 10.0,
+        float | None, typer.Option(min=0, help="Freeze one client, seconds. [default: 10]")
+    ] = None,
     late_clicks: Annotated[
-        int, typer.Option(min=0, help="Click in images half a minute old; 0: not this.")
-    ] = 1000,
+        int | None, typer.Option(min=0, help="Click in images half a minute old. [default: 1000]")
+    ] = None,
+    inject: Annotated[
+        str, typer.Option(help="Of none,skew,clock,baseline,person; alone unless more is given.")
+    ] = "",
+    seconds: Annotated[float, typer.Option(min=10, help="With each of these.")] = 50.0,
     seed: Annotated[int, typer.Option(help="Which processes are killed, and when.")] = 0,
 ) -> None:
-    """Kill server, router and robots under a clicking operator, freeze a client, click late; count
-    what is lost.
+    """Kill server, router, robots and the operator's client under clicks, freeze a client, click
+    late; count what is lost. Or spoil a robot's calibration, clock or trigger, or have somebody
+    walk through the scene (--inject), and see whether it is named and does harm. 0: not this.
     """
-    from evaluation.faults.command import run
+    from evaluation.faults.command import FaultOptions, run
 
-    run(kills, freeze, late_clicks, out, seed)
+    usual = not inject
+    options = FaultOptions(
+        kills=20 * usual if kills is None else kills,
+        freeze_s=10.0 * usual if freeze is None else freeze,
+        late_clicks=1000 * usual if late_clicks is None else late_clicks,
+        inject=tuple(inject.split(",")) if inject else (),
+        inject_s=seconds,
+        seed=seed,
+    )
+    run(options, out)
 
 
 @app.command(hidden=True)
@@ -378,12 +392,18 @@ def world(
         float | None, typer.Option(help="Degrees between neighbours; else at most 45, varying.")
     ] = None,
     moving: Annotated[bool, typer.Option("--moving", help="The robots walk slowly.")] = False,
+    turning: Annotated[
+        list[str] | None, typer.Option(help="A robot that looks to and fro; repeatable.")
+    ] = None,
+    person: Annotated[
+        bool, typer.Option("--person", help="Somebody walks before the second robot.")
+    ] = False,
     truth_file: Annotated[Path | None, typer.Option(help="Where true poses are written.")] = None,
 ) -> None:
     """Serve a synthetic world, for robots with `--camera synthetic --data host:port/r1`."""
     from evaluation.world_server import main as serve
 
-    serve(robots, listen, seed, separation, moving, truth_file)
+    serve(robots, listen, seed, separation, moving, truth_file, turning or (), person)
 
 
 def _numbers(option: str, text: str, count: int | None = None) -> list[int]:

@@ -3,7 +3,7 @@
 import random
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -255,6 +255,30 @@ def start(
     cluster: str | None = None,
 ) -> None:
     """Starts router, world, server and robots."""
+    start_servers(fleet, plan, workers, state, skip_pairs, cluster)
+    if plan.replayed:
+        replayed = load.arguments(plan, HELD_RATE_HZ, plan.frames)
+        fleet.start(LOAD, "evaluation", "load", *fleet.connection, *replayed)
+        return
+    for robot in plan.robots:
+        start_robot(fleet, robot)
+
+
+def start_robot(fleet: LocalFleet, robot: RobotPlan) -> None:
+    """Starts one robot's agent."""
+    rate = ("--rate", str(robot.rate_hz))
+    fleet.start_robot(robot.name, robot.camera, robot.data, *rate, *robot.options)
+
+
+def start_servers(
+    fleet: LocalFleet,
+    plan: FleetPlan,
+    workers: int,
+    state: Path,
+    skip_pairs: Path | None = None,
+    cluster: str | None = None,
+) -> None:
+    """Starts router, world and server."""
     fleet.start_router()
     if plan.world:
         fleet.start("world", "evaluation", *plan.world)
@@ -263,13 +287,6 @@ def start(
     fleet.start_server("--workers", str(workers), *elsewhere, *skip, state=state)
     if isinstance(plan.truth, WorldTruth):
         _wait_for_world(fleet, plan.truth)
-    if plan.replayed:
-        replayed = load.arguments(plan, HELD_RATE_HZ, plan.frames)
-        fleet.start(LOAD, "evaluation", "load", *fleet.connection, *replayed)
-        return
-    for robot in plan.robots:
-        rate = ("--rate", str(robot.rate_hz))
-        fleet.start_robot(robot.name, robot.camera, robot.data, *rate, *robot.options)
 
 
 def _wait_for_world(fleet: LocalFleet, truth: WorldTruth) -> None:
@@ -313,14 +330,20 @@ def wait_started(fleet: LocalFleet, observer: Observer, robots: int) -> float:
     return time.monotonic()
 
 
-def poses_now(observer: Observer, truth: Truth) -> dict[str, PoseNow]:
-    """The newest pose of each robot beside the truth; a stale pose is not located."""
-    now_ns = time.time_ns()  # robots and evaluation share this machine's clock
+def poses_now(
+    observer: Observer, truth: Truth, ahead_ns: Mapping[str, int] | None = None
+) -> dict[str, PoseNow]:
+    """The newest pose of each robot beside the truth; a stale pose is neither located nor verified.
+
+    Args:
+        ahead_ns: by how much clocks of robots are ahead; else they share this machine's clock.
+    """
     poses = {}
     for robot, seen_pose in observer.poses().items():
         pose = seen_pose.pose
         seen = observer.view(pose.view)
         T_world_robot = None if seen is None else truth.T_world_robot(seen)
+        now_ns = time.time_ns() + (ahead_ns or {}).get(robot, 0)
         if T_world_robot is not None:
             poses[robot] = PoseNow(
                 pose.T_fleet_robot,
@@ -328,6 +351,7 @@ def poses_now(observer: Observer, truth: Truth) -> dict[str, PoseNow]:
                 pose.component,
                 pose.located and pose.valid_until_ns > now_ns,
                 T_world_robot,
+                pose.verdict == "verified" and pose.valid_until_ns > now_ns,
             )
     return poses
 

@@ -31,6 +31,7 @@ class PoseNow:
     component: str
     located: bool
     T_world_robot: Floats
+    verified: bool = True
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ class SampleRow:
     position_error_m: float | None = None
     rotation_error_deg: float | None = None
     nees: float | None = None
+    verified: bool = False
 
 
 def score_sample(
@@ -73,6 +75,7 @@ def score_sample(
                     pose.T_fleet_robot,
                     pose.covariance,
                     pose.T_world_robot,
+                    verified=pose.verified,
                 )
             )
         else:
@@ -94,6 +97,7 @@ def _scored(time_s: float, robot: str, is_anchor: bool, pose: PoseNow, gauge: Po
         position_error_m=position_error_m(T_true, pose.T_fleet_robot),
         rotation_error_deg=rotation_error_deg(T_true, pose.T_fleet_robot),
         nees=None if is_anchor else nees(T_true, pose.T_fleet_robot, pose.covariance),
+        verified=pose.verified,
     )
 
 
@@ -121,6 +125,7 @@ def summarize_poses(rows: Sequence[SampleRow], limits: Limits) -> dict[str, Any]
         "position_error_max_m": max((max(own) for own in errors), default=None),
         "position_error_aligned_m": _aligned(rows, set(located)),
         "grave_located": sum(_grave(row, limits) for row in rows if row.located),
+        "grave_acted": sum(_grave(row, limits) for row in rows if row.located and row.verified),
         "samples": len({row.time_s for row in rows}),
         "nees_per_dof": _mean([value / 6.0 for value in surprises]),
         "nees_per_dof_median": percentile(np.asarray(surprises) / 6.0, 50),

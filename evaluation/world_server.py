@@ -2,9 +2,9 @@
 images.
 
 Protocol, on loopback: a robot sends one line of JSON, `{"robot": "r3"}`, and gets its rig as one
-    line; then for each
-line `"next"` a header line (stamp_ns, width, height, left_bytes, right_bytes) and both raw BGR
-images. A request that cannot be met gets a line `{"error": ...}`.
+line; then for each line `"next"` a header line (stamp_ns, width, height, left_bytes, right_bytes)
+and both raw BGR images. A request that cannot be met gets a line `{"error": ...}`. As `r3@200` a
+robot sees what it saw 200 ms before the newest image that it got as `r3`.
 """
 
 import json
@@ -12,6 +12,7 @@ import signal
 import socketserver
 import threading
 import time
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -37,13 +38,20 @@ class WorldServer(socketserver.ThreadingTCPServer):
         self._began_s = time.monotonic()
         self._log = log
         self._guard = threading.Lock()
+        self._newest: dict[str, tuple[int, float]] = {}
         super().__init__(address, _Robot)
 
     def shoot(self, robot: str) -> tuple[dict[str, int], bytes, bytes]:
         """Header and both images of now."""
-        stamp_ns = time.time_ns()
-        shot = self.world.shoot(robot, time.monotonic() - self._began_s)
-        self._note(robot, stamp_ns, shot.T_world_robot)
+        robot, _, before_ms = robot.partition("@")
+        if before_ms:
+            stamp_ns, t_s = self._newest.get(robot, (time.time_ns(), 0.0))
+            shot = self.world.shoot(robot, t_s - 1e-3 * float(before_ms))
+        else:
+            stamp_ns, t_s = time.time_ns(), time.monotonic() - self._began_s
+            self._newest[robot] = stamp_ns, t_s
+            shot = self.world.shoot(robot, t_s)
+            self._note(robot, stamp_ns, shot.T_world_robot)
         left, right = shot.left.tobytes(), shot.right.tobytes()
         height, width = shot.left.shape[:2]
         sizes = {"left_bytes": len(left), "right_bytes": len(right)}
@@ -82,12 +90,15 @@ class _Robot(socketserver.StreamRequestHandler):
     def _introduced(self) -> str | None:
         request = _json(self.rfile.readline(MAX_LINE))
         name = request.get("robot") if isinstance(request, dict) else None
+        place, _, before_ms = str(name).partition("@")
         try:
-            index = self.server.world.robot_index(name)  # type: ignore[arg-type]
+            self.server.world.robot_index(place)
+            if before_ms and not before_ms.isdigit():
+                raise FleetPoseError(f"'{name}': write r3@200 for what r3 saw 200 ms before")
         except FleetPoseError as error:
             self._say({"error": str(error)})
             return None
-        return self.server.world.names[index]
+        return str(name)
 
     def _say(self, message: dict[str, Any]) -> None:
         self.wfile.write(json.dumps(message).encode() + b"\n")
@@ -122,6 +133,8 @@ def main(
     separation_deg: float | None,
     moving: bool,
     truth_file: Path | None,
+    turning: Collection[str] = (),
+    person: bool = False,
 ) -> None:
     """Serves a ring world until SIGTERM or SIGINT.
 
@@ -136,8 +149,11 @@ def main(
     host, _, port = listen.rpartition(":")
     if not host or not port.isdigit():
         raise FleetPoseError(f"'{listen}' is no address: give host:port")
-    world = RingWorld(robots, separation_deg, seed=seed, moving=moving)
-    log = Path(f"{truth_file}.log.jsonl") if truth_file is not None and moving else None
+    world = RingWorld(
+        robots, separation_deg, seed=seed, moving=moving, turning=turning, person=person
+    )
+    moves = moving or bool(turning)
+    log = Path(f"{truth_file}.log.jsonl") if truth_file is not None and moves else None
     try:
         server = WorldServer((host, int(port)), world, log)
     except OSError as error:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from hmi_client.changes import Changes
 from hmi_client.errors import OperatorError
 from hmi_client.gallery import Gallery, Keeping
+from hmi_client.kept import KeptUpdates
 from hmi_client.matrix import natural
 from hmi_client.model import Entry, Pair, Pick, Picture, new_events
 from hmi_client.workbook import Workbook
@@ -34,15 +35,22 @@ class Feed(Changes):
         operator: the operator's name, a chunk of keys.
         session: epoch of this life of the client; random if none is given.
         clock: monotonic seconds.
+        kept: where updates are kept on disk until they are receipted.
     """
 
-    def __init__(self, operator: str, session: str | None, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        operator: str,
+        session: str | None,
+        clock: Callable[[], float],
+        kept: KeptUpdates | None = None,
+    ) -> None:
         super().__init__(clock)
         self.fleet: FleetState | None = None
         self.status: ServerStatus | None = None
         self.alignment: Alignment | None = None
         self.pair: Pair | None = None
-        self._book = Workbook(operator, session, clock=clock)
+        self._book = Workbook(operator, session, clock=clock, kept=kept)
         self._poses: dict[str, RobotPose] = {}
         self._gallery = Gallery()
         self._unreadable: dict[str, str] = {}

@@ -1,9 +1,12 @@
-"""The operator's updates on their way: numbered without gaps, kept until a receipt covers them."""
+"""The operator's updates on their way: numbered without gaps, kept until a receipt covers them, on
+disk where there is a place for it.
+"""
 
 from dataclasses import dataclass
 from itertools import takewhile
 from typing import Any, Literal
 
+from hmi_client.kept import KeptUpdates, Life
 from hmi_client.model import Pair, Pick
 from protocol.keys import new_epoch
 from protocol.messages import OperatorUpdate, Receipts
@@ -42,15 +45,26 @@ class Ticket:
 
 
 class Outbox:
-    """Numbers updates 1, 2, 3, ... within a session and keeps those still to be offered."""
+    """Numbers updates 1, 2, 3, ... within a session and keeps those still to be offered.
 
-    def __init__(self, operator: str, session: str | None = None) -> None:
+    Args:
+        operator: the operator's name.
+        session: epoch of the session; random if none is given.
+        kept: where updates are kept on disk; what is there is taken up again.
+    """
+
+    def __init__(
+        self, operator: str, session: str | None = None, kept: KeptUpdates | None = None
+    ) -> None:
         self.operator = operator
         self.session = session or new_epoch()
         self.confirmed = 0
         self._confirmed_by: str | None = None
         self._last = 0
         self._open: list[Ticket] = []
+        self._kept = kept
+        if kept is not None:
+            self._take_up(kept)
 
     @property
     def open(self) -> tuple[Ticket, ...]:
@@ -62,7 +76,9 @@ class Outbox:
         """The open tickets up to the first that is held."""
         return tuple(takewhile(lambda ticket: not ticket.held, self._open))
 
-    def post(self, action: Action, pair: Pair, base_revision: int, **places: Any) -> Ticket:
+    def post(
+        self, action: Action, pair: Pair, base_revision: int, held: bool = False, **places: Any
+    ) -> Ticket:
         """Makes the next update; `places` are the remaining fields of `OperatorUpdate`."""
         update = OperatorUpdate(
             operator=self.operator,
@@ -74,10 +90,16 @@ class Outbox:
             base_revision=base_revision,
             **places,
         )
+        ticket = Ticket(update, held=held)
+        self.keep(ticket)
         self._last += 1
-        ticket = Ticket(update)
         self._open.append(ticket)
         return ticket
+
+    def keep(self, ticket: Ticket) -> None:
+        """Keeps an update on disk, if there is a place for it and it is not held."""
+        if self._kept is not None and not ticket.held:
+            self._kept.keep(ticket.update)
 
     def settle(self, receipts: Receipts) -> list[Ticket]:
         """Applies cumulative receipts; returns the tickets that became final, in order."""
@@ -92,6 +114,8 @@ class Outbox:
         for ticket in settled:
             ticket.final = True
             ticket.reason = reasons.get(ticket.update.n)
+        if settled and self._kept is not None:
+            self._kept.settle(self.confirmed, self._confirmed_by)
         return settled
 
     def is_forgotten_by(self, receipts: Receipts) -> bool:
@@ -123,4 +147,24 @@ class Outbox:
         for n, ticket in enumerate(self._open, start=1):
             ticket.arrived = False
             ticket.update = ticket.update.model_copy(update={"session": self.session, "n": n})
+        self._keep_all()
         return pointless
+
+    def _take_up(self, kept: KeptUpdates) -> None:
+        """Goes on where the last client was killed. A number that is missing is of an update that
+        was held: neither it nor what followed was sent.
+        """
+        life = kept.life()
+        if life is not None:
+            self.session, self.confirmed = life.session, life.confirmed
+            self._confirmed_by = life.confirmed_by
+            for n, update in enumerate(life.updates, start=life.confirmed + 1):
+                self._open.append(Ticket(update.model_copy(update={"n": n})))
+            self._last = self.confirmed + len(self._open)
+        self._keep_all()
+
+    def _keep_all(self) -> None:
+        """Writes the session anew."""
+        if self._kept is not None:
+            unheld = tuple(ticket.update for ticket in self._open if not ticket.held)
+            self._kept.begin(Life(self.session, self.confirmed, self._confirmed_by, unheld))

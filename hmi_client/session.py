@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from hmi_client.errors import OperatorError
 from hmi_client.feed import Feed
+from hmi_client.kept import KeptUpdates
 from hmi_client.model import HalfPick, Pair, Picture, PixelUV
 from hmi_client.outbox import Ticket
 from protocol.keys import checked_name, ordered_pair
@@ -26,6 +27,8 @@ class OperatorSession(Feed):
         session: epoch of this life of the client; random if none is given.
         clock: monotonic seconds.
         threshold_m: errors above it are shown as a hyphen.
+        kept: where updates are kept on disk until they are receipted; what another client of the
+            operator left there is sent.
     """
 
     def __init__(
@@ -34,8 +37,9 @@ class OperatorSession(Feed):
         session: str | None = None,
         clock: Callable[[], float] = time.monotonic,
         threshold_m: float = 1.0,
+        kept: KeptUpdates | None = None,
     ) -> None:
-        super().__init__(checked_name(operator), session, clock)
+        super().__init__(checked_name(operator), session, clock, kept)
         self.operator = operator
         self.threshold_m = threshold_m
         self.half: HalfPick | None = None

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 from hmi_client.clearing import HeldClear
 from hmi_client.errors import OperatorError
+from hmi_client.kept import KeptUpdates
 from hmi_client.model import Entry, Pair, Pick, PixelUV
 from hmi_client.outbox import Outbox, Ticket
 from protocol.messages import Correspondence, PairCorrespondences, Receipts, ViewName
@@ -30,9 +31,10 @@ class Workbook:
     session: str | None = None
     sets: dict[Pair, PairCorrespondences] = field(default_factory=dict)
     clock: Callable[[], float] = time.monotonic
+    kept: KeptUpdates | None = None
 
     def __post_init__(self) -> None:
-        self.outbox = Outbox(self.operator, self.session)
+        self.outbox = Outbox(self.operator, self.session, self.kept)
         self._done: list[Deed] = []
         self._undone: list[Deed] = []
         self._settling: list[Ticket] = []  # accepted, but the set that shows it is still to come
@@ -68,8 +70,7 @@ class Workbook:
         self._remember(Deed(removed=tuple(p for p in picks if p not in self._withdrawn)))
         self._withdrawn = [pick for pick in self._withdrawn if pick.pair != pair]
         known = self.sets.get(pair)
-        ticket = self.outbox.post("clear", pair, known.revision if known else 0)
-        ticket.held = True
+        ticket = self.outbox.post("clear", pair, known.revision if known else 0, held=True)
         seen = frozenset(c.id for c in known.items) if known else frozenset()
         self._clears.append(HeldClear(ticket, seen, coming))
         self._erasing.setdefault(pair, {}).update({c.id: ticket for c in items})
@@ -124,6 +125,7 @@ class Workbook:
                 self._clears.remove(clear)
                 self._settling = [t for t in self._settling if t not in clear.covers]
                 erased = clear.release(self.sets.get(pair))
+                self.outbox.keep(clear.ticket)
                 self._erasing.setdefault(pair, {}).update(dict.fromkeys(erased, clear.ticket))
         return self.outbox.sendable
 

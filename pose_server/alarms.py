@@ -1,8 +1,12 @@
-"""Alarms about the robots' calibrations: what the comparisons of their depths say, in words."""
+"""Alarms about the robots: what comparisons of their depths, their own views and the arrival of
+their stamps say of calibrations and clocks, in words; and the event that something moves.
+"""
 
 import logging
+from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from pose_server.calibration.findings import (
     LEAST_BEND_OTHER,
@@ -14,13 +18,18 @@ from pose_server.calibration.findings import (
     wrong_scales,
 )
 from pose_server.calibration.memory import Said
+from pose_server.geometry.motion import Mask
 from pose_server.pairs.engine import Done
 from pose_server.site import Site
+from pose_server.views import KeptView
 from protocol.messages import Alarm, Camera, ViewName
 
 log = logging.getLogger("pose_server")
 
 _NEAR_S = 2.0  # views that tell how fast a robot went are no farther apart
+_FLOW_NEAR_S = 3.0
+_MOVING_POINTS = 6  # a few that are wrong alike are no event
+_MOTION_OVER_S = 30.0  # without motion for so long, the next one is told again
 _CHECK = "`robot-agent calibrate-check`"
 
 
@@ -32,6 +41,36 @@ def note_depths(site: Site, done: Done) -> None:
     site.depths.note(i.robot, j.robot, Said(done.result.depths, pace(site, i), pace(site, j)))
 
 
+def note_moment(site: Site, done: Done) -> None:
+    """Keeps what an alignment of a robot's own views says of when its depths are measured."""
+    if done.result is not None and done.result.shift is not None:
+        site.depths.moments.note(done.job.i.name, done.job.j.name, done.result.shift)
+        site.depths.changed = True
+
+
+def note_arrival(site: Site, view: KeptView, now_ns: int) -> None:
+    """Keeps when a view arrived by the server's clock, which its robot's may be off from."""
+    robot, epoch = view.name.robot, view.name.epoch
+    if robot in site.robots:
+        site.depths.clocks.note(robot, epoch, 1e-9 * (view.stamp_ns - now_ns))
+        site.depths.changed = True
+
+
+def note_motion(site: Site, view: ViewName, mask: Mask | None) -> None:
+    """Says that something moves in a robot's view, once while it goes on."""
+    if mask is None or len(mask.moving) < _MOVING_POINTS or view not in site.views:
+        return
+    track, now_s = site.robot(view.robot).track, site.views[view].received_s
+    if now_s - track.motion_s > _MOTION_OVER_S:
+        event = (
+            f"something moves in {view.robot}'s view {view.seq}: what is around "
+            f"{len(mask.moving)} points of it is left out of alignments"
+        )
+        site.say(event)
+        log.info("%s", event)
+    track.motion_s = now_s
+
+
 def judge_calibrations(site: Site) -> None:
     """Renews the alarms; a new one is an event as well."""
     if not site.depths.changed:
@@ -40,7 +79,8 @@ def judge_calibrations(site: Site) -> None:
     alarms = _of_bends(site)
     bent = {alarm.robot for alarm in alarms}
     alarms += _of_scales(site, bent)
-    alarms += _of_clocks(site, bent)
+    alarms += _of_skews(site, bent)
+    alarms += _of_clocks(site)
     site.alarms = tuple(alarms)
     for alarm in alarms:
         if (alarm.robot, alarm.kind) not in site.alarms_told:
@@ -102,18 +142,73 @@ def _of_scales(site: Site, bent: set[str]) -> list[Alarm]:
     return alarms
 
 
-def _of_clocks(site: Site, bent: set[str]) -> list[Alarm]:
+def _of_skews(site: Site, bent: set[str]) -> list[Alarm]:
+    """Robots whose depths are of another moment than their images: a robot that turns sees them
+    beside the image, one that goes forward sees them too long or too short.
+    """
     alarms = []
-    for robot in site.depths.robots:
-        offset = None if robot in bent else time_offset(*site.depths.paces(robot))
-        if offset is not None:
+    for robot in sorted({*site.depths.robots, *site.depths.moments.robots}):
+        for view in site.depths.moments.without_flow(robot):
+            motion = flow(site, view)
+            if motion is not None:
+                site.depths.moments.note_flow(view, motion)
+        older = site.depths.moments.offset(robot)
+        if older is None and robot not in bent:
+            younger = time_offset(*site.depths.paces(robot))
+            older = None if younger is None else replace(younger, value=-younger.value)
+        if older is not None:
             text = (
-                f"{robot}'s depths are {1e3 * abs(offset.value):.0f} +- {1e3 * offset.sigma:.0f} "
-                f"ms {'younger' if offset.value > 0 else 'older'} than its images, by how they "
-                "change with its speed: check that both are taken at one moment"
+                f"{robot}'s depths are {1e3 * abs(older.value):.0f} +- {1e3 * older.sigma:.0f} "
+                f"ms {'older' if older.value > 0 else 'younger'} than its images, by how both fit "
+                "as it moves: check that both are taken at one moment"
             )
-            alarms.append(Alarm(robot=robot, kind="clock", text=text))
+            alarms.append(Alarm(robot=robot, kind="skew", text=text))
     return alarms
+
+
+def _of_clocks(site: Site) -> list[Alarm]:
+    site.depths.clocks.keep_only({r for r, robot in site.robots.items() if robot.alive})
+    alarms = []
+    for robot, ahead_s in site.depths.clocks.wrong():
+        if ahead_s > 0:
+            what = f"the clock of {robot} is {ahead_s:.1f} s ahead of the server's"
+        else:
+            what = (
+                f"the views of {robot} arrive {-ahead_s:.1f} s after their stamps at best: its "
+                "clock is behind the server's, or it sends them late"
+            )
+        text = f"{what}; the stamps of its poses are in its own clock: set it by NTP or chrony"
+        alarms.append(Alarm(robot=robot, kind="clock", text=text))
+    return alarms
+
+
+def flow(site: Site, view: ViewName) -> npt.NDArray[np.floating] | None:
+    """How fast a robot's image moved in its middle when a view was taken, (2,) px/s, by the views
+    before and after it, or after it for the first one of a life; None where that is not known.
+    """
+    robot, here = site.robots.get(view.robot), site.views.get(view)
+    if robot is None or here is None:
+        return None
+    sides: dict[bool, tuple[float, ViewName]] = {}
+    for other in robot.track.attached:
+        if other != view and other.epoch == view.epoch and other in site.views:
+            dt_s = 1e-9 * (site.views[other].stamp_ns - here.stamp_ns)
+            best = sides.get(dt_s > 0, (_FLOW_NEAR_S, view))
+            if 0 < abs(dt_s) < abs(best[0]):
+                sides[dt_s > 0] = dt_s, other
+    flows = []
+    for dt_s, other in sides.values():
+        T_other_view = site.relative(other, view)
+        if T_other_view is not None:
+            middle = T_other_view[:3, 2] * here.median_depth_m + T_other_view[:3, 3]
+            K = here.camera.K
+            flows.append(np.diag(K)[:2] * middle[:2] / max(middle[2], 1e-6) / dt_s)
+    is_first = here.stamp_ns <= min(
+        site.views[other].stamp_ns
+        for other in (*robot.track.attached, view)
+        if other.epoch == view.epoch and other in site.views
+    )
+    return np.mean(flows, axis=0) if len(flows) == 1 + (not is_first) else None
 
 
 def _scale_text(site: Site, robot: str, estimate: Estimate) -> str:

@@ -6,6 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from pose_server.alarms import note_moment, note_motion
 from pose_server.fleet.types import Edge
 from pose_server.pairs.agenda import note_keyframe
 from pose_server.pairs.candidates import candidate_views
@@ -14,7 +15,7 @@ from pose_server.pairs.judging import PairResult
 from pose_server.pairs.refining import Start
 from pose_server.pairs.tracking import accepted, moved
 from pose_server.site import Robot, Site, ViewPair
-from pose_server.views import STILL_PX, KeptView, stands_still
+from pose_server.views import STILL_PX, KeptView, something_moved, stands_still
 from protocol.messages import ViewName
 
 MOST_KEYFRAMES, LEAST_KEYFRAMES = 40, 6  # of a robot, in a small and in a large fleet
@@ -87,6 +88,8 @@ def followed(site: Site, done: Done) -> None:
     if done.result is not None:
         masks = zip((keyframe, view), done.result.moving, strict=True)
         robot.track.masks |= {name: mask for name, mask in masks if mask is not None}
+        note_motion(site, view, done.result.moving[1])
+        note_moment(site, done)
         depth = site.views[view].median_depth_m
         nearer = None if past else _nearer_keyframe(site, robot, keyframe, done.result, depth)
         step = robot.track.take(view, keyframe, done.result, depth, nearer)
@@ -162,10 +165,13 @@ def _follow(site: Site, robot: Robot, view: ViewName) -> Job | None:
 
 
 def _stayed(site: Site, robot: Robot, view: KeptView, keyframe: ViewName | None) -> bool:
-    """Hangs a view on a keyframe without a worker where no pixel moved."""
+    """Hangs a view on a keyframe without a worker where no pixel moved; what walks past a robot
+    that stands still takes a worker to be masked.
+    """
     if keyframe is None or keyframe not in site.views:
         return False
-    if not stands_still(site.views[keyframe], view):
+    before = site.views[keyframe]
+    if not stands_still(before, view) or something_moved(before, view):
         return False
     sigma_rad = STILL_PX / float(view.camera.K[0, 0])
     robot.track.stay(view.name, keyframe, sigma_rad, sigma_rad * view.median_depth_m)

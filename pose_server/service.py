@@ -166,9 +166,7 @@ class Service:
             self._fetcher.ask_newest(robot.name)
 
     def _read_clouds(self) -> None:
-        """Newest views first come, first served; a few at a time, so that clicks never wait behind
-        them.
-        """
+        """First come, first served; a few at a time, so that clicks never wait behind views."""
         end_s = time.monotonic() + _TICK_S
         good = 0
         while good < 4 and time.monotonic() < end_s:
@@ -179,6 +177,7 @@ class Service:
                 view = open_view(sample.payload, sample.encoding, time.monotonic())
                 if self.keys.chunks(sample.key)[1] != view.name.robot:
                     raise CodecError("view under another robot's key")
+                alarms.note_arrival(self.site, view, time.time_ns())
                 pipeline.receive_view(self.site, view)
                 good += 1
             except FleetPoseError as error:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.geometry.matching import ratio_matches
+from pose_server.geometry.motion import some_together
 from pose_server.pairs.engine import EncodedView
 from protocol.clouds import decode_salient, points_of, some_points_of
 from protocol.codec import unpack
@@ -23,6 +24,7 @@ _SIGNATURE_POINTS = 300
 _LIKE_RATIO = 0.8
 _CHANCE, _ALIKE = 0.045, 0.13  # shares of the points that match by chance, and in like views
 _STILL_MATCHES = 40
+_TOGETHER, _REACH_SHARE = 3, 0.15  # points that move as one, share of the image's width
 _NEAR_PX, _SAME_COSINE = 3.0, 0.9
 STILL_PX = 0.15
 
@@ -125,6 +127,17 @@ def stands_still(a: KeptView, b: KeptView) -> bool:
         return False
     drift = np.abs(np.median(shift, axis=0)).max()
     return bool(drift < STILL_PX and np.median(np.linalg.norm(shift, axis=1)) < 3 * STILL_PX)
+
+
+def something_moved(a: KeptView, b: KeptView) -> bool:
+    """Whether some of the strongest points may have gone elsewhere together, in two views of a
+    robot that did not move: a worker is to look closer.
+    """
+    matches = _clear_matches(a, b, _LIKE_RATIO)
+    shift = b.signature_uv[matches[:, 1]] - a.signature_uv[matches[:, 0]]
+    off = np.linalg.norm(shift, axis=1) > _NEAR_PX
+    uv = a.signature_uv[matches[off, 0]]
+    return some_together(uv, shift[off], _REACH_SHARE * a.camera.width, _TOGETHER)
 
 
 def _kept_places(a: KeptView, b: KeptView) -> npt.NDArray[np.float32]:

@@ -294,7 +294,7 @@ class Alarm(Message, frozen=True, schema="fleet.alarm.v1"):
     """What an operator has to look after at a robot, in words that say what to do."""
 
     robot: Name
-    kind: Name = Field(description="what is off: scale, unequal, bent, clock")
+    kind: Name = Field(description="what is off: scale, unequal, bent, skew, clock")
     text: Text
 
 

@@ -125,6 +125,11 @@ class Clicker:
         """Waits until nothing is open; whether that came about."""
         return wait_until(lambda: not self.in_flight(), timeout_s)
 
+    def erased(self) -> set[Click]:
+        """Clicks of anybody that this operator erased, by receipt."""
+        with self._lock:
+            return self._erased()
+
     def account(self) -> Account:
         """Compares the sets that the server published last with what it receipted.
 

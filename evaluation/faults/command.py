@@ -2,35 +2,37 @@
 
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from evaluation.faults import crashes, frozen, late
+from evaluation.faults import crashes, frozen, inject, late
 from evaluation.report import output_folder, print_table, progress_bar, write_summary
 from protocol.errors import FleetPoseError
 
 Scenario = Callable[[Path, Path, Callable[[], None]], dict[str, Any]]
 
 
-def run(kills: int, freeze_s: float, late_clicks: int, out: Path, seed: int = 0) -> dict[str, Any]:
+@dataclass(frozen=True)
+class FaultOptions:
+    """What `pose-eval faults` is asked for; zeros leave out."""
+
+    kills: int = 0
+    freeze_s: float = 0.0
+    late_clicks: int = 0
+    inject: tuple[str, ...] = ()
+    inject_s: float = 50.0
+    seed: int = 0
+
+
+def run(options: FaultOptions, out: Path) -> dict[str, Any]:
     """Runs what is asked for, each in a fleet of its own; returns the summary.
 
     Raises:
         FleetPoseError: a fleet does not come up, or does not come back after a fault.
     """
-    scenarios: dict[str, tuple[Scenario, int]] = {}
-    if kills:
-        scenarios["crashes"] = (partial(crashes.run, kills, seed), kills)
-    if freeze_s:
-        steps = round(freeze_s + frozen.BEFORE_S)
-        scenarios["frozen"] = (partial(frozen.run, freeze_s), steps)
-    if late_clicks:
-        rounds = -(-late_clicks // (late.DESKS * late.CLICKS_PER_ROUND))
-        steps = round(rounds * late.LATE_S)
-        scenarios["late"] = (partial(late.run, late_clicks), steps)
-    if not scenarios:
-        raise FleetPoseError("nothing to do: give --kills, --freeze or --late-clicks")
+    scenarios = _scenarios(options)
     logs = output_folder(out) / "logs"
     for old in (*logs.glob("*/*.log"), *logs.glob("*/*.jsonl")):
         old.unlink()
@@ -44,3 +46,26 @@ def run(kills: int, freeze_s: float, late_clicks: int, out: Path, seed: int = 0)
     write_summary(out, summary)
     print_table("faults", ("what", "value"), summary.items())
     return summary
+
+
+def _scenarios(options: FaultOptions) -> dict[str, tuple[Scenario, int]]:
+    """By name, what is to be run and of how many steps."""
+    scenarios: dict[str, tuple[Scenario, int]] = {}
+    if options.kills:
+        crash = partial(crashes.run, options.kills, options.seed)
+        scenarios["crashes"] = (crash, options.kills)
+    if options.freeze_s:
+        steps = round(options.freeze_s + frozen.BEFORE_S)
+        scenarios["frozen"] = (partial(frozen.run, options.freeze_s), steps)
+    if options.late_clicks:
+        rounds = -(-options.late_clicks // (late.DESKS * late.CLICKS_PER_ROUND))
+        steps = round(rounds * late.LATE_S)
+        scenarios["late"] = (partial(late.run, options.late_clicks), steps)
+    for name in options.inject:
+        if name not in inject.FAULTS:
+            raise FleetPoseError(f"--inject: no '{name}'; there are {', '.join(inject.FAULTS)}")
+        steps = round(options.inject_s)
+        scenarios[name] = (partial(inject.run, name, options.inject_s), steps)
+    if not scenarios:
+        raise FleetPoseError("nothing to do: give --kills, --freeze, --late-clicks or --inject")
+    return scenarios

@@ -1,6 +1,7 @@
-"""Server, router and robots killed at random moments while an operator clicks."""
+"""All kinds of processes killed at random moments while operators click."""
 
 import itertools
+import json
 import random
 import time
 from collections.abc import Callable
@@ -13,6 +14,7 @@ import numpy as np
 import psutil
 
 from deploy.local_fleet import LocalFleet, wait_running
+from evaluation.faults.clerk import Ledger
 from evaluation.faults.clicker import Clicker, Places
 from evaluation.fleet import FleetPlan, open_link, plan_world, start, wait_started
 from evaluation.observer import Observer
@@ -26,7 +28,9 @@ CLICKS_PER_S = 60.0
 UP_WITHIN_S = 60.0
 SETTLED_WITHIN_S = 30.0
 _PAUSE_S = (0.2, 1.5)  # between everything running again and the next kill
-_TARGETS = ("server",) * 6 + ("router", "router", "robot", "worker")
+_TARGETS = ("server",) * 4 + ("router", "router", "robot", "worker", "desk", "desk")
+_DESK = "desk"
+KINDS = ("server", "worker", "router", "robot", "desk")
 _MIN_PLACES = 30
 
 
@@ -38,8 +42,8 @@ class Kill:
         target: the process.
         in_flight: updates that were put and not receipted at that moment.
         up_s: from the kill until it was up again: the server's token, the router's port, the
-            robot's token.
-        recovery_s: from the kill to the next receipt.
+            robot's token; a desk is up at once.
+        recovery_s: from the kill to the next receipt, of the desk where it was killed.
         poses_s: from being up to a new pose of every robot; of server and router only.
     """
 
@@ -68,36 +72,72 @@ def run(
         observer = Observer(link, Keys(fleet.site))
         closing.callback(observer.close)
         wait_started(fleet, observer, ROBOTS)
-        clicker = Clicker(link, Keys(fleet.site), _places(fleet, plan, observer), CLICKS_PER_S)
+        places = _places(fleet, plan, observer)
+        clicker = Clicker(link, Keys(fleet.site), places, CLICKS_PER_S)
         closing.callback(clicker.close)
         clicker.start()
+        ledger = Ledger(link, Keys(fleet.site))
+        pause = scratch / "pause"
+        _start_desk(fleet, places, scratch, pause)
         for _ in range(kills):
             target = chance.choice(_TARGETS)
             target = chance.choice(plan.names) if target == "robot" else target
             time.sleep(chance.uniform(*_PAUSE_S))
-            noted.append(_kill(fleet, observer, clicker, target))
+            noted.append(_kill(fleet, observer, clicker, ledger, target))
             progress()
         clicker.pause()
-        settled = clicker.settled(SETTLED_WITHIN_S)
+        pause.touch()
+        settled = clicker.settled(SETTLED_WITHIN_S) and wait_until(
+            lambda: ledger.in_flight(fleet.told(_DESK)) == 0, SETTLED_WITHIN_S
+        )
         told = _restart_and_hear_all(fleet, observer, link)
         account = clicker.account()
+        told_clicks = fleet.told(_DESK)
+        lost, doubled = ledger.account(told_clicks, clicker.erased())
+        account.lost.extend(lost)
+        account.doubled.extend(doubled)
     for sentence in (*account.lost[:10], *account.doubled[:10]):
         print(sentence)
     rows = [asdict(kill) for kill in noted]
     write_csv(logs.parent.parent / "kills.csv", [column.name for column in fields(Kill)], rows)
     return {
         "kills": kills,
-        "receipted": clicker.receipted,
+        **{f"kills_{kind}": sum(_kind(k.target) == kind for k in noted) for kind in KINDS},
+        "receipted": clicker.receipted + ledger.receipted(told_clicks),
+        "receipted_desk": ledger.receipted(told_clicks),
         "rejected": sum(clicker.reasons().values()),
         "settled": settled and told,
         "in_flight_at_kill": sum(kill.in_flight for kill in noted),
         "lost": len(account.lost),
         "doubled": len(account.doubled),
+        "in_flight_at_kill_desk": sum(k.in_flight for k in noted if k.target == _DESK),
         "recovery_s_p95": float(np.percentile([kill.recovery_s for kill in noted], 95)),
         "poses_after_server_s": _longest(noted, "server"),
         "poses_after_router_s": _longest(noted, "router"),
         "leftover_processes": fleet.leftover_processes(),
     }
+
+
+def _kind(target: str) -> str:
+    return target if target in KINDS else "robot"
+
+
+def _start_desk(fleet: LocalFleet, places: list[Places], scratch: Path, pause: Path) -> None:
+    """Starts the client of an operator who clicks at the same places."""
+    pairs = [
+        {
+            "view_i": one.i.view.name.model_dump(),
+            "view_j": one.j.view.name.model_dump(),
+            "uv_i": one.uv_i.tolist(),
+            "uv_j": one.uv_j.tolist(),
+        }
+        for one in places
+    ]
+    file = scratch / "places.json"
+    file.write_text(json.dumps(pairs))
+    files = (scratch / "updates.sqlite", file, pause)
+    where = (fleet.endpoint, fleet.site, *(str(path) for path in files))
+    fleet.start(_DESK, "evaluation.faults.clerk", *where, json_lines=True)
 
 
 def _longest(noted: list[Kill], target: str) -> float | None:
@@ -123,9 +163,12 @@ def _places(fleet: LocalFleet, plan: FleetPlan, observer: Observer) -> list[Plac
     return places
 
 
-def _kill(fleet: LocalFleet, observer: Observer, clicker: Clicker, target: str) -> Kill:
+def _kill(
+    fleet: LocalFleet, observer: Observer, clicker: Clicker, ledger: Ledger, target: str
+) -> Kill:
     """Kills a process, starts it again as a supervisor would, and waits until all flows."""
-    noted = Kill(target, clicker.in_flight())
+    in_flight = clicker.in_flight() if target != _DESK else ledger.in_flight(fleet.told(_DESK))
+    noted = Kill(target, in_flight)
     before, killed_s = observer.server_epochs(), time.monotonic()
     if target == "worker":  # the server starts another one
         workers = psutil.Process(fleet.pid("server")).children()
@@ -138,15 +181,19 @@ def _kill(fleet: LocalFleet, observer: Observer, clicker: Clicker, target: str) 
     elif target == "server":
         if not wait_running(fleet, lambda: bool(observer.server_epochs() - before), UP_WITHIN_S):
             raise FleetPoseError(f"the server is not back; its log ends:\n{fleet.tail('server')}")
-    elif not wait_running(fleet, lambda: observer.alive_robots() == ROBOTS, UP_WITHIN_S):
+    elif target != _DESK and not wait_running(
+        fleet, lambda: observer.alive_robots() == ROBOTS, UP_WITHIN_S
+    ):
         raise FleetPoseError(f"{target} is not back; logs: {fleet.directory}")
     up_s = time.monotonic()
     noted.up_s = up_s - killed_s
     if target in ("server", "router"):
         noted.poses_s = _poses_anew(fleet, observer, up_s)
-    if not wait_running(fleet, lambda: clicker.first_receipt_s(killed_s) is not None, UP_WITHIN_S):
+    whose = ledger if target == _DESK else clicker
+    since_s = up_s if target == _DESK else killed_s
+    if not wait_running(fleet, lambda: whose.first_receipt_s(since_s) is not None, UP_WITHIN_S):
         raise FleetPoseError(f"no receipts after {target} was killed; logs: {fleet.directory}")
-    first_s = clicker.first_receipt_s(killed_s)
+    first_s = whose.first_receipt_s(since_s)
     assert first_s is not None
     noted.recovery_s = first_s - killed_s
     return noted

@@ -7,6 +7,7 @@ functions: its four edges and its inverse depth. The nearest quad of every sampl
 that holds all textures at all levels.
 """
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -76,21 +77,36 @@ class Renderer:
 
     def __init__(self, quads: Sequence[Quad], sky: Texture) -> None:
         self._quads = tuple(quads)
-        self._corners = np.array([q.corner for q in quads])
-        self._outlines = np.array(
-            [q.corner + np.array((0 * q.down, q.right, q.right + q.down, q.down)) for q in quads]
-        )
-        self._outward = np.array([q.outward for q in quads])
-        self._M = np.array([np.column_stack((q.right, q.down, q.corner)) for q in quads])
+        self._enter()
         self._atlas = _place([q.texture for q in quads])
         lengths = np.array([(np.linalg.norm(q.right), np.linalg.norm(q.down)) for q in quads])
         self._texels_per_m = np.sqrt((self._atlas.sizes / lengths).prod(1))
         wrapped = np.concatenate((sky, sky[:, :1]), axis=1)
         self._sky = np.clip(wrapped, 0, 255).astype(np.uint8)
 
+    def _enter(self) -> None:
+        """Notes where the quads are."""
+        quads = self._quads
+        self._corners = np.array([q.corner for q in quads])
+        self._outlines = np.array(
+            [q.corner + np.array((0 * q.down, q.right, q.right + q.down, q.down)) for q in quads]
+        )
+        self._outward = np.array([q.outward for q in quads])
+        self._M = np.array([np.column_stack((q.right, q.down, q.corner)) for q in quads])
+
     def with_quads(self, quads: Sequence[Quad]) -> "Renderer":
         """The same scene with more in it."""
         return Renderer((*self._quads, *quads), self._sky[:, :-1].astype(np.float32))
+
+    def with_last_at(self, quads: Sequence[Quad]) -> "Renderer":
+        """The same scene with its last quads at other places, their textures as they are: fit for
+        every frame.
+        """
+        moved = copy.copy(self)
+        first = len(self._quads) - len(quads)
+        moved._quads = (*self._quads[:first], *quads)
+        moved._enter()
+        return moved
 
     def render(self, T_world_camera: Floats, K: Floats, size: tuple[int, int]) -> Rendering:
         """An image without sensor noise, and the exact depth, of a pinhole camera.

@@ -4,10 +4,12 @@ truly are.
 
 import itertools
 import threading
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 
+from evaluation.world.person import Person
 from evaluation.world.render import Floats, Image
 from evaluation.world.town import town_square
 from protocol.errors import FleetPoseError
@@ -31,6 +33,10 @@ _GAIN_SIGMA_EYE = 0.01
 _WALK_DEG = 6.0
 _WALK_PERIOD_S = 24.0
 _WALK_PHASE_STEP = 0.4
+
+# A robot that looks to and fro: at most 4.4 deg/s.
+_TURN_DEG = 10.0
+_TURN_PERIOD_S = 14.0
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,8 @@ class RingWorld:
             5.5 m.
         seed: of textures, headings and noise.
         moving: the robots walk slowly along the ring.
+        turning: names of robots that look to and fro as well.
+        person: somebody walks to and fro before the second robot.
 
     Raises:
         FleetPoseError: a ring that cannot be.
@@ -70,6 +78,8 @@ class RingWorld:
         radius_m: float = 10.0,
         seed: int = 0,
         moving: bool = False,
+        turning: Collection[str] = (),
+        person: bool = False,
     ) -> None:
         if not 1 <= robots <= 360:
             raise FleetPoseError(f"{robots} robots: give 1 to 360")
@@ -93,7 +103,11 @@ class RingWorld:
         self._still: dict[int, tuple[Image, Image]] = {}
         self._locks = [threading.Lock() for _ in range(robots)]
         self._draws = [0] * robots
+        self._turning = frozenset(self.robot_index(name) for name in turning)
         self.scene = town_square(seed)
+        self._person = Person(self._azimuth_deg[min(1, robots - 1)]) if person else None
+        if self._person is not None:
+            self.scene = self.scene.with_quads(self._person.quads(0.0))
 
     def robot_index(self, robot: str | int) -> int:
         """Which robot a name or an index (from 0) means.
@@ -119,7 +133,8 @@ class RingWorld:
             phase = k * _WALK_PHASE_STEP
             turn = 2 * np.pi * t_s / _WALK_PERIOD_S
             azimuth = azimuth + _WALK_DEG * (np.sin(turn + phase) - np.sin(phase))
-        heading = np.radians(azimuth + 180.0 + self._heading_deg[k])
+        turned = _TURN_DEG * np.sin(2 * np.pi * t_s / _TURN_PERIOD_S) if k in self._turning else 0.0
+        heading = np.radians(azimuth + 180.0 + self._heading_deg[k] + turned)
         T = np.eye(4)
         T[:2, :2] = ((np.cos(heading), -np.sin(heading)), (np.sin(heading), np.cos(heading)))
         T[:2, 3] = (
@@ -133,8 +148,8 @@ class RingWorld:
         k = self.robot_index(robot)
         T_world_robot = self.T_world_robot(k, t_s)
         with self._locks[k]:
-            clean = self._still.get(k) or self._render(T_world_robot)
-            if not self.moving:
+            clean = self._still.get(k) or self._render(T_world_robot, t_s)
+            if not self.moving and self._person is None and k not in self._turning:
                 self._still[k] = clean
             draw = self._draws[k] = self._draws[k] + 1
         left, right = (
@@ -143,13 +158,16 @@ class RingWorld:
         )
         return StereoShot(left, right, T_world_robot)
 
-    def _render(self, T_world_robot: Floats) -> tuple[Image, Image]:
+    def _render(self, T_world_robot: Floats, t_s: float) -> tuple[Image, Image]:
+        scene = self.scene
+        if self._person is not None:
+            scene = scene.with_last_at(self._person.quads(t_s))
         T_world_left = T_world_robot @ mount()
         T_world_right = T_world_left @ np.linalg.inv(self.rig.T_right_left)
         size = (WIDTH, HEIGHT)
         return (
-            self.scene.image(T_world_left, self.rig.K_left, size),
-            self.scene.image(T_world_right, self.rig.K_right, size),
+            scene.image(T_world_left, self.rig.K_left, size),
+            scene.image(T_world_right, self.rig.K_right, size),
         )
 
 

@@ -1,6 +1,7 @@
 """Running the text client: on a terminal, or without one for a picture of it."""
 
 import asyncio
+import logging
 import os
 import sys
 import time
@@ -10,9 +11,13 @@ from pathlib import Path
 
 from hmi_client.connection import Connection
 from hmi_client.errors import OperatorError
+from hmi_client.kept import KeptUpdates
 from hmi_client.session import OperatorSession
 from hmi_client.text.app import FleetApp
+from protocol.keys import checked_name
 from protocol.logs import log_to_file
+
+log = logging.getLogger(__name__)
 
 RETRY_TIMEOUT_S = 2.0  # per attempt to reach the router; the screen is there meanwhile
 
@@ -21,7 +26,8 @@ def run_screen(where: Connection, fps: float, threshold_m: float, log: Path | No
     """Runs the app until the operator quits; it also starts without a router and waits for one."""
     log = log or default_log()
     own_log(log)
-    session = OperatorSession(where.operator, threshold_m=threshold_m)
+    kept = own_updates(where)
+    session = OperatorSession(where.operator, threshold_m=threshold_m, kept=kept)
     client = where.client(session, RETRY_TIMEOUT_S)
     client.start_in_background()
     try:
@@ -29,6 +35,8 @@ def run_screen(where: Connection, fps: float, threshold_m: float, log: Path | No
             FleetApp(session, fps, lambda: client.failure).run()
     finally:
         client.close()
+        if kept is not None:
+            kept.close()
 
 
 def take_screenshot(
@@ -94,8 +102,23 @@ def is_complete(session: OperatorSession) -> bool:
 
 def default_log() -> Path:
     """The log file in the user's state folder."""
+    return state_folder() / "hmi-client.log"
+
+
+def state_folder() -> Path:
+    """Where the client keeps what outlives it."""
     state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(state) / "fleetpose" / "hmi-client.log"
+    return Path(state) / "fleetpose"
+
+
+def own_updates(where: Connection) -> KeptUpdates | None:
+    """The operator's file of updates on their way, None while another client has it."""
+    name = f"updates-{checked_name(where.site)}-{checked_name(where.operator)}.sqlite"
+    try:
+        return KeptUpdates(state_folder() / name)
+    except OperatorError as error:
+        log.warning("clicks on their way do not outlive a crash: %s", error)
+        return None
 
 
 def own_log(path: Path) -> None:

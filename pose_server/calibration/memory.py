@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from pose_server.calibration.clocks import Clocks
 from pose_server.calibration.compare import DepthErrors
 from pose_server.calibration.findings import RobotPair
+from pose_server.calibration.moments import Moments
 
 Floats = npt.NDArray[np.floating]
 
@@ -32,10 +34,14 @@ class Memory:
     """The newest comparisons of every two robots; the oldest partners of a robot make room.
 
     Attributes:
+        moments: what robots' own views say of when their depths are measured.
+        clocks: what arrivals say of the robots' clocks.
         changed: whether anything was said or forgotten since it was set to false.
     """
 
     changed: bool = False
+    moments: Moments = field(default_factory=Moments)
+    clocks: Clocks = field(default_factory=Clocks)
     _pairs: dict[RobotPair, deque[Said]] = field(default_factory=dict)
 
     def note(self, i: str, j: str, said: Said) -> None:
@@ -55,6 +61,7 @@ class Memory:
     def forget(self, robot: str) -> None:
         """Drops what was said of a robot: it has another calibration now."""
         self.changed = True
+        self.moments.forget(robot)
         self._pairs = {pair: said for pair, said in self._pairs.items() if robot not in pair}
 
     @property

@@ -47,3 +47,19 @@ def moves_together(uv: Floats, shift: Floats, off: Bools) -> Bools:
     allowed = np.maximum(_ALIKE_PX, _ALIKE_SHARE * np.linalg.norm(shift, axis=1))
     alike = off[near] & (differ < allowed[:, None])
     return off & (alike.sum(axis=1) >= _ALIKE)
+
+
+def some_together(uv: Floats, shift: Floats, reach_px: float, least: int) -> bool:
+    """Whether so many matches near each other are shifted alike: cheap, and no proof.
+
+    Args:
+        uv: (M, 2) where matches are that are not where they were, px.
+        shift: (M, 2) px.
+        reach_px: how near.
+    """
+    apart = np.linalg.norm(uv[:, None] - uv, axis=2)
+    differ = np.linalg.norm(shift[:, None] - shift, axis=2)
+    allowed = np.maximum(_ALIKE_PX, 0.5 * _ALIKE_SHARE * np.linalg.norm(shift, axis=1))
+    alike = (apart < reach_px) & (differ < allowed[:, None])
+    places = np.unique(np.rint(uv), axis=0, return_inverse=True)[1].ravel()
+    return any(len(set(places[row].tolist())) >= least for row in alike)

@@ -1,5 +1,6 @@
 """What an alignment tells besides the pose: whether the depths of two robots' views fit each other,
-what moves in two views of one robot, and which points an operator might confirm.
+and which points an operator might confirm; of two views of one robot, what moves and whether depths
+and image are of one moment.
 """
 
 from dataclasses import replace
@@ -8,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.calibration.compare import DepthErrors, compare_depths
+from pose_server.calibration.shift import DepthShift, depth_shift
+from pose_server.geometry.se3 import inverse, transform
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.moving import moving_masks
 from pose_server.pairs.pair import Pair
@@ -15,12 +18,14 @@ from pose_server.pairs.suggesting import suggested
 from pose_server.pairs.views import PreparedView
 
 _FAR = 0.5  # median depth over depth
+_AT_PLACE = 0.012  # share of the focal length: matches that are where the pose says
 
 
 def with_byproducts(pair: Pair, result: PairResult) -> PairResult:
     """The result with what else the two views tell."""
     if pair.i.name.robot == pair.j.name.robot:
-        return replace(result, moving=moving_masks(pair, result))
+        moving = moving_masks(pair, result)
+        return replace(result, moving=moving, shift=shift_of(pair, result))
     return with_suggestions(pair, replace(result, depths=depths_of(pair, result)))
 
 
@@ -38,6 +43,23 @@ def depths_of(pair: Pair, result: PairResult) -> DepthErrors | None:
     matches = pair.ratio[_near(pair.i, pair.ratio[:, 0]) | _near(pair.j, pair.ratio[:, 1])]
     T_i_j = result.T_i_j if result.verdict == "verified" else None
     return compare_depths(pair.i.observed, pair.j.observed, matches, T_i_j)
+
+
+def shift_of(pair: Pair, result: PairResult) -> DepthShift | None:
+    """Where the depths of the later view of a robot fit its image best, by what the earlier view's
+    points say of them.
+    """
+    if result.T_i_j is None or result.verdict not in ("verified", "plausible"):
+        return None
+    i, j = pair.i.observed, pair.j.observed
+    at_i, at_j = pair.ratio.T
+    seen, z = j.project(transform(inverse(result.T_i_j), i.points[at_i]))
+    off_px = np.linalg.norm(seen - j.uv[at_j], axis=1)
+    good = (z > 0) & (off_px < _AT_PLACE * j.focal_px)
+    relative = i.inverse_depth_sigma[at_i] / i.inverse_depth[at_i]
+    surface = pair.j.surface
+    uv, expected = j.uv[at_j[good]], 1.0 / z[good]
+    return depth_shift(j.size, surface.uv, 1.0 / surface.z, uv, expected, relative[good])
 
 
 def _near(view: PreparedView, points: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.calibration.compare import DepthErrors
+from pose_server.calibration.shift import DepthShift
 from pose_server.geometry import robust
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.evidence import Agreement
@@ -29,9 +30,10 @@ _MOST_PIXEL_NOISE = 4.0  # that may be found at a pose: an alias shows by it
 @dataclass(frozen=True, eq=False)
 class PairResult:
     """An alignment and how good it is. Poses are camera j in camera i, covariances left, rotation
-    first. `depths` tells how the depths of both views fit each other, whatever the
-    verdict; `moving` what moves in two views of one robot; `suggested` (M, 4) pixels of both views,
-    u_i v_i u_j v_j, that an operator might confirm, best first; only where it is not verified.
+    first. `depths` tells how the depths of both views fit each other, whatever the verdict; of two
+    views of one robot `moving` tells what moves, and `shift` where j's depths fit its image best;
+    `suggested` (M, 4) pixels of both views, u_i v_i u_j v_j, that an operator might confirm, best
+    first; only where it is not verified.
     """
 
     T_i_j: Floats | None
@@ -49,6 +51,7 @@ class PairResult:
     depths: DepthErrors | None = None
     moving: tuple[Mask | None, Mask | None] = (None, None)
     suggested: Floats | None = None
+    shift: DepthShift | None = None
 
 
 def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None) -> PairResult:

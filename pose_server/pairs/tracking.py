@@ -53,6 +53,7 @@ class Track:
         newest: the newest view that hangs somewhere.
         past: older views that are being placed: they do not tell where the robot is now.
         masks: where something moves, of the views of which that is known.
+        motion_s: when something was seen to move last, by the server's monotonic clock.
     """
 
     keyframes: list[ViewName] = field(default_factory=list)
@@ -61,6 +62,7 @@ class Track:
     newest: Attached | None = None
     past: set[ViewName] = field(default_factory=set)
     masks: dict[ViewName, Mask] = field(default_factory=dict)
+    motion_s: float = -np.inf
     _tried: dict[ViewName, list[ViewName]] = field(default_factory=dict)
     _fallback: dict[ViewName, Attached] = field(default_factory=dict)
 

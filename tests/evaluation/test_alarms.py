@@ -15,8 +15,11 @@ from pose_server.correspondences.book import Book
 from pose_server.correspondences.records import BookState
 from pose_server.pairs.align import align_pair
 from pose_server.pairs.engine import Done, EncodedView, Job
+from pose_server.pairs.tracking import Attached
 from pose_server.pairs.views import PreparedView, prepare_view
 from pose_server.site import Site
+from pose_server.views import KeptView, open_view, something_moved, stands_still
+from protocol.codec import pack
 from protocol.messages import View, ViewName
 from robot_agent.cameras.rig import StereoRig
 from robot_agent.cameras.stereo import StereoMatcher
@@ -123,3 +126,62 @@ def test_somebody_who_walks_through_the_view_is_masked(world):
         inside = ((uv > low - 1) & (uv < high + 1)).all(axis=1)
         hit = mask.hits(uv)
         assert hit[inside].mean() > 0.6 and hit[~inside].mean() < 0.01
+
+
+def turned_views(world: RingWorld, skew_s: float) -> list[View]:
+    """What a robot that looks to and fro sends once in a second, with depths of before."""
+    matcher = StereoMatcher(world.rig)
+    messages = []
+    for seq in range(9):
+        at_s = 1.3 * seq
+        shots = [world.shoot("r2", t_s) for t_s in (at_s, at_s - skew_s)]
+        image, before = (matcher.frame(s.left, s.right, round(1e9 * at_s)) for s in shots)
+        frame = replace(image, ranges=before.ranges)
+        salient = salient_points(frame.image, frame.ranges, frame.model)
+        messages.append(view_of(ViewName(robot="r2", epoch="0" * 12, seq=seq), frame, salient))
+    return messages
+
+
+@pytest.mark.parametrize("skew_s", [0.2, 0.0])
+def test_depths_that_are_older_than_the_image_are_named(skew_s):
+    turning = RingWorld(3, 36.0, seed=3, turning=("r2",))
+    site = Site(Book(NoJournal()))
+    robot = site.robot("r2")
+    messages = turned_views(turning, skew_s)
+    first, *views = (prepare_view(message).strongest(700) for message in messages)
+    flows = {}
+    for message in messages:
+        site.views.keep(open_view(pack(message), None, 0.0))
+        # the server has this of its solution
+        flows[message.name] = turning.T_world_robot("r2", 1e-9 * message.stamp_ns) @ mount()
+    site.relative = lambda a, b: np.linalg.inv(flows[a]) @ flows[b]  # type: ignore[method-assign]
+    robot.track.begin(first.name)
+    for view in views:
+        result = align_pair(first, view)
+        robot.track.attached[view.name] = Attached(
+            view.name, first.name, np.eye(4), np.eye(6), "verified"
+        )
+        job = Job("track", EncodedView(first.name, b""), EncodedView(view.name, b""))
+        alarms.note_moment(site, Done(job, result))
+        alarms.judge_calibrations(site)
+    alarms.judge_calibrations(site)
+    if skew_s == 0:
+        assert site.alarms == ()
+        return
+    assert [(alarm.robot, alarm.kind) for alarm in site.alarms] == [("r2", "skew")]
+    words = site.alarms[0].text.split()
+    assert float(words[3]) == pytest.approx(200, abs=50) and "older" in words
+
+
+def kept(world: RingWorld, t_s: float, seq: int) -> KeptView:
+    shot = world.shoot("r2", t_s)
+    return open_view(pack(seen("r2", world.rig, shot.left, shot.right, seq)), None, t_s)
+
+
+def test_who_walks_past_a_robot_that_stands_still_is_noticed(world):
+    busy = RingWorld(2, 36.0, seed=0, person=True)
+    before, *after = (kept(busy, t_s, k) for k, t_s in enumerate((0.0, 1.0, 2.2, 3.5)))
+    assert all(stands_still(before, view) for view in after)
+    assert sum(something_moved(before, view) for view in after) >= 2
+    before, *after = (kept(world, 0.0, seq) for seq in range(4))
+    assert not any(something_moved(before, view) for view in after)

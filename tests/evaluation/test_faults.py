@@ -4,20 +4,22 @@ import csv
 
 import pytest
 
-from evaluation.faults import command, late
+from evaluation.faults import command, inject, late
+from evaluation.faults.command import FaultOptions
 from evaluation.faults.frozen import _longest_gap
 from protocol.errors import FleetPoseError
 
 
 @pytest.mark.timeout(300)
 def test_kills_and_a_frozen_client_cost_no_click_and_leave_no_process(tmp_path):
-    summary = command.run(kills=3, freeze_s=2.0, late_clicks=0, out=tmp_path, seed=1)
+    summary = command.run(FaultOptions(kills=4, freeze_s=2.0, seed=6), tmp_path)
     assert summary["receipted"] > 20 and summary["settled"]
+    assert summary["kills_desk"] > 0 and summary["receipted_desk"] > 0
     assert summary["lost"] == summary["doubled"] == summary["leftover_processes"] == 0
     assert summary["gap_states_frozen_s"] > 0 and summary["caught_up_s"] > 0
     with (tmp_path / "kills.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 3 and all(float(row["recovery_s"]) > 0 for row in rows)
+    assert len(rows) == 4 and all(float(row["recovery_s"]) > 0 for row in rows)
 
 
 @pytest.mark.timeout(300)
@@ -36,4 +38,20 @@ def test_the_longest_gap_includes_both_ends():
 
 def test_nothing_to_do_is_said(tmp_path):
     with pytest.raises(FleetPoseError, match="--kills"):
-        command.run(0, 0.0, 0, tmp_path)
+        command.run(FaultOptions(), tmp_path)
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("fault", ["clock", "person"])
+def test_a_fault_is_named_and_makes_no_grave_pose(tmp_path, fault):
+    (tmp_path / "scratch").mkdir()
+    found = inject.run(
+        fault, 90.0, tmp_path / "scratch", tmp_path / "o/logs/x", lambda: None, until_named=True
+    )
+    assert found[f"{fault}_named"] and found[f"{fault}_false_alarms"] == 0
+    assert found[f"{fault}_grave_located"] == found[f"{fault}_leftover_processes"] == 0
+
+
+def test_an_unknown_fault_is_said(tmp_path):
+    with pytest.raises(FleetPoseError, match="there are none, skew"):
+        command.run(FaultOptions(inject=("flood",)), tmp_path)
