@@ -7,7 +7,11 @@ from typing import Annotated
 
 import typer
 
+from evaluation import live
+from evaluation.options import Clouds, Data, Out
+
 app = typer.Typer(no_args_is_help=True, add_completion=False, rich_markup_mode=None)
+app.add_typer(live.app)
 
 
 class RecipeOption(StrEnum):
@@ -16,23 +20,6 @@ class RecipeOption(StrEnum):
     paper = "paper"
     full = "full"
     both = "both"
-
-
-class CloudsOption(StrEnum):
-    """Kinds of clouds of a posed-views folder."""
-
-    sparse = "sparse"
-    sparse_noisy = "sparse_noisy"
-    stereo_pair_sparse = "stereo_pair_sparse"
-    stereo_dense = "stereo_dense"
-
-
-Data = Annotated[Path, typer.Option(help="Posed-views or RGB-D folder with ground truth.")]
-Clouds = Annotated[
-    CloudsOption | None,
-    typer.Option(help="Clouds of a posed-views folder; sparse_noisy if not told."),
-]
-Out = Annotated[Path, typer.Option(help="Folder for the results; it is made.")]
 
 
 @app.callback()
@@ -200,48 +187,6 @@ def persist(
 
 
 @app.command()
-def fleet(
-    out: Out,
-    robots: Annotated[int, typer.Option(min=2, help="How many.")] = 6,
-    seconds: Annotated[float, typer.Option(help="After all processes are up; more than 20.")] = 60,
-    data: Annotated[
-        Path | None, typer.Option(help="Recording with ground truth; else the synthetic world.")
-    ] = None,
-    clouds: Clouds = None,
-    first: Annotated[int, typer.Option(help="Posed views: the first of consecutive views.")] = 0,
-    skip_pairs: Annotated[
-        Path | None, typer.Option(help="Lines 'r1 r2': pairs left to the operator.")
-    ] = None,
-    cluster: Annotated[
-        str | None, typer.Option(help="Dask scheduler that the server aligns on.")
-    ] = None,
-    clicks_per_minute: Annotated[float, typer.Option(min=0, help="Simulated operator.")] = 0.0,
-    clicks_on_skipped: Annotated[
-        int, typer.Option(min=0, help="The operator clicks so many points on each skipped pair.")
-    ] = 0,
-    workers: Annotated[int, typer.Option(min=1, help="Alignment processes.")] = 2,
-    moving: Annotated[bool, typer.Option("--moving", help="Synthetic robots walk.")] = False,
-) -> None:
-    """Run a live fleet on a recording or in the synthetic world and score its poses."""
-    from evaluation.fleet import FleetOptions, run
-
-    options = FleetOptions(
-        robots=robots,
-        seconds=seconds,
-        data=data,
-        clouds=clouds.value if clouds else None,
-        first=first,
-        skip_pairs=skip_pairs,
-        cluster=cluster,
-        clicks_per_minute=clicks_per_minute,
-        clicks_on_skipped=clicks_on_skipped,
-        workers=workers,
-        moving=moving,
-    )
-    run(options, out)
-
-
-@app.command()
 def solve(
     out: Out,
     robots: Annotated[int, typer.Option(min=2, help="How many.")] = 72,
@@ -289,73 +234,11 @@ def questions(
 
 
 @app.command()
-def faults(
-    out: Out,
-    kills: Annotated[
-        int | None, typer.Option(min=0, help="Kill processes at random moments. [default: 20]")
-    ] = None,
-    freeze: Annotated[
-        float | None, typer.Option(min=0, help="Freeze one client, seconds. [default: 10]")
-    ] = None,
-    late_clicks: Annotated[
-        int | None, typer.Option(min=0, help="Click in images half a minute old. [default: 1000]")
-    ] = None,
-    inject: Annotated[
-        str, typer.Option(help="Of none,skew,clock,baseline,person; alone unless more is given.")
-    ] = "",
-    seconds: Annotated[float, typer.Option(min=10, help="With each of these.")] = 50.0,
-    seed: Annotated[int, typer.Option(help="Which processes are killed, and when.")] = 0,
-) -> None:
-    """Kill server, router, robots and the operator's client under clicks, freeze a client, click
-    late; count what is lost. Or spoil a robot's calibration, clock or trigger, or have somebody
-    walk through the scene (--inject), and see whether it is named and does harm. 0: not this.
-    """
-    from evaluation.faults.command import FaultOptions, run
-
-    usual = not inject
-    options = FaultOptions(
-        kills=20 * usual if kills is None else kills,
-        freeze_s=10.0 * usual if freeze is None else freeze,
-        late_clicks=1000 * usual if late_clicks is None else late_clicks,
-        inject=tuple(inject.split(",")) if inject else (),
-        inject_s=seconds,
-        seed=seed,
-    )
-    run(options, out)
-
-
-@app.command(hidden=True)
-def load(
-    robot: Annotated[list[str], typer.Option(help="NAME,CAMERA,DATA; repeatable.")],
-    connect: Annotated[list[str], typer.Option(help="Router; repeatable.")],
-    site: Annotated[str, typer.Option(help="The fleet's site.")] = "demo",
-    rate: Annotated[float, typer.Option(min=0.01, help="Views per second of each.")] = 1.0,
-    frames: Annotated[int, typer.Option(min=1, help="Of each camera, shown in turn.")] = 1,
-) -> None:
-    """Replay views of several robots that were encoded beforehand."""
-    from evaluation.load import Source, run
-
-    run([Source.parse(text) for text in robot], tuple(connect), site, rate, frames)
-
-
-@app.command()
 def stereo(out: Out) -> None:
     """Play a stereo video of the synthetic world; check calibrations, right and wrong."""
     from evaluation.stereo import run
 
     run(out)
-
-
-@app.command()
-def fuzz(
-    out: Out,
-    messages: Annotated[int, typer.Option(min=1, help="How many malformed messages.")] = 20_000,
-    seed: Annotated[int, typer.Option(help="Which.")] = 0,
-) -> None:
-    """Send malformed, truncated, oversize and bomb payloads to every subscribed key of a fleet."""
-    from evaluation.fuzz.command import passed, run
-
-    raise typer.Exit(0 if passed(run(messages, out, seed)) else 1)
 
 
 @app.command()
@@ -369,41 +252,6 @@ def wire(
     from evaluation.wire import run
 
     run(data, clouds.value if clouds else None, out, views)
-
-
-@app.command()
-def demo(
-    robots: Annotated[int, typer.Option(min=2, help="How many.")] = 6,
-    seconds: Annotated[float, typer.Option(help="At most, without a screen.")] = 90,
-    headless: Annotated[bool, typer.Option("--headless", help="Without a screen.")] = False,
-) -> None:
-    """Run a fleet in the synthetic world: on a terminal with the operator's screen."""
-    from evaluation.demo import run, without_screen
-
-    raise typer.Exit(run(robots, seconds, without_screen(headless)))
-
-
-@app.command()
-def world(
-    listen: Annotated[str, typer.Option(help="Address, host:port.")] = "127.0.0.1:7500",
-    robots: Annotated[int, typer.Option(min=1, help="How many.")] = 6,
-    seed: Annotated[int, typer.Option(help="Of textures and noise.")] = 0,
-    separation: Annotated[
-        float | None, typer.Option(help="Degrees between neighbours; else at most 45, varying.")
-    ] = None,
-    moving: Annotated[bool, typer.Option("--moving", help="The robots walk slowly.")] = False,
-    turning: Annotated[
-        list[str] | None, typer.Option(help="A robot that looks to and fro; repeatable.")
-    ] = None,
-    person: Annotated[
-        bool, typer.Option("--person", help="Somebody walks before the second robot.")
-    ] = False,
-    truth_file: Annotated[Path | None, typer.Option(help="Where true poses are written.")] = None,
-) -> None:
-    """Serve a synthetic world, for robots with `--camera synthetic --data host:port/r1`."""
-    from evaluation.world_server import main as serve
-
-    serve(robots, listen, seed, separation, moving, truth_file, turning or (), person)
 
 
 def _numbers(option: str, text: str, count: int | None = None) -> list[int]:

@@ -1,0 +1,24 @@
+"""Options that several commands have in common."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+class CloudsOption(StrEnum):
+    """Kinds of clouds of a posed-views folder."""
+
+    sparse = "sparse"
+    sparse_noisy = "sparse_noisy"
+    stereo_pair_sparse = "stereo_pair_sparse"
+    stereo_dense = "stereo_dense"
+
+
+Data = Annotated[Path, typer.Option(help="Posed-views or RGB-D folder with ground truth.")]
+Clouds = Annotated[
+    CloudsOption | None,
+    typer.Option(help="Clouds of a posed-views folder; sparse_noisy if not told."),
+]
+Out = Annotated[Path, typer.Option(help="Folder for the results; it is made.")]
