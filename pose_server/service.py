@@ -11,7 +11,7 @@ import time
 from concurrent.futures import Future
 from contextlib import suppress
 
-from pose_server import alarms, answers, pipeline, publish, widening
+from pose_server import alarms, answers, pipeline, widening
 from pose_server.awaiting import Awaiting
 from pose_server.correspondences.book import Outcome
 from pose_server.correspondences.journal import Journal, StoredView
@@ -22,11 +22,11 @@ from pose_server.pairs.agenda import compare_some
 from pose_server.pairs.cluster import ClusterPool
 from pose_server.pairs.engine import Done
 from pose_server.pairs.workers import Engine, LocalPool
-from pose_server.publish import Stamp
 from pose_server.publishers import Publishers
 from pose_server.settings import ServerSettings
 from pose_server.site import Site
 from pose_server.status import Load, server_status
+from pose_server.telling import Teller
 from pose_server.views import open_view
 from protocol.codec import pack
 from protocol.drops import Drops
@@ -44,7 +44,6 @@ _STATUS_S = 1.0
 _ALARMS_S = 5.0
 _SOLVE_SHARE = 0.25  # of the server's own thread that solving may take
 _LONGEST_PAUSE_S = 1.0  # but poses must not wait longer for the next solution
-_STATE_SHARE = 0.1  # and making the fleet's state
 _ANSWER_S = 2.0
 
 
@@ -59,18 +58,16 @@ class Service:
         self._queue: queue.SimpleQueue[object] = queue.SimpleQueue()
         self._drops = Drops()
         self._inbox = Inbox(self.keys, self._queue, self._drops)
-        self._put = Publishers(link).put
+        put = Publishers(link).put
+        self._teller = Teller(site, self.keys, settings, self.epoch, put)
         self._clouds = link.on_bulk(self.keys.cloud("*"), self._inbox.wake)
         pool = ClusterPool(settings.cluster) if settings.cluster else LocalPool(settings.workers)
         self._engine = Engine(pool, self._queue.put)
         self._fetcher = Fetcher(self.keys, link.query, self._queue.put, self._drops)
         self._awaiting = Awaiting(self._fetcher.ask)
         self._load = Load(time.monotonic())
-        self._numbers: dict[str, int] = {}
         self._next: dict[str, float] = {}
         self._solved_s = self._solve_took_s = 0.0
-        self._saw_newest: dict[str, object] = {}
-        self._saw_solution: object = None
         self._noted_anchor = site.anchor
         self._unclicked = False
         self._unanswered: dict[Session, OperatorUpdate] = {}
@@ -98,14 +95,15 @@ class Service:
         )
         self.site.say(f"server {self.epoch} started with {self.settings.workers} workers")
         log.info("serving site=%s epoch=%s", self.settings.site, self.epoch)
-        self._publish_all_correspondences()
+        for pair in self.site.book.pairs():
+            self._teller.correspondences(pair)
         while not self.stopped.is_set():
             presence.check()
             self._read_events()
             self._read_clouds()
             self._start_jobs()
             self._solve_if_due()
-            self._publish_moved()
+            self._teller.moved()
             self._publish_steadily()
 
     def close(self) -> None:
@@ -211,9 +209,7 @@ class Service:
         self._ask_for_wide_sets()
         i, j = done.job.i.name, done.job.j.name
         if done.result is not None and i.robot != j.robot:
-            n = self._count_up(f"{i.robot} {j.robot}")
-            message = publish.alignment(i, j, done.result, self._stamp(), n)
-            self._put(self.keys.alignment(i.robot, j.robot), message)
+            self._teller.alignment(i, j, done.result)
             log.info(
                 "aligned i=%s j=%s verdict=%s start=%s inliers=%d reasons=%s",
                 i,
@@ -249,10 +245,9 @@ class Service:
     def _answer_operators(self) -> None:
         """Receipts are cumulative and sets whole: one of each does for all updates of a turn."""
         for update in self._unanswered.values():
-            receipts = self.site.book.receipts(update, self.epoch)
-            self._put(self.keys.receipts(update.operator), receipts)
+            self._teller.receipts(update)
         for pair in filter(self.site.knows, self._untold):
-            self._publish_correspondences(pair)
+            self._teller.correspondences(pair)
         self._unanswered.clear()
         self._untold.clear()
 
@@ -298,7 +293,7 @@ class Service:
         self._solve_took_s = time.monotonic() - now
         self._solved_s = time.monotonic()
         for pair in pipeline.judge_correspondences(self.site):
-            self._publish_correspondences(pair)
+            self._teller.correspondences(pair)
 
     def _note_gauge(self) -> None:
         """After a restart the fleet frame must not silently be another one."""
@@ -309,50 +304,22 @@ class Service:
         except JournalError as error:
             log.error("the gauge was not recorded: %s", error)
 
-    def _publish_moved(self) -> None:
-        """Poses of robots with a newer view, and of those that a solve moved or whose pair was
-        aligned.
-        """
-        site = self.site
-        solved = self._saw_solution is not site.solution
-        self._saw_solution = site.solution
-        touched = set() if site.dirty else site.touched  # what they led to is still to be solved
-        for name, robot in site.robots.items():
-            newest = robot.track.newest
-            moved = name in touched or (solved and publish.has_moved(site, robot))
-            if newest is None or (self._saw_newest.get(name) is newest and not moved):
-                continue
-            pose = publish.robot_pose(site, robot, self.settings, self._stamp())
-            if pose is None:
-                continue
-            self._saw_newest[name] = newest
-            robot.published = pose
-            self._put(self.keys.pose(name), pose)
-        touched.clear()
-
     def _publish_steadily(self) -> None:
         if self._due("state", 1.0 / self.settings.state_hz):
-            self._publish_state()
+            pause_s = self._teller.state()
+            self._next["state"] = max(self._next["state"], time.monotonic() + pause_s)
         if self._due("status", _STATUS_S):
             drops = {
                 **self._drops.snapshot(),
                 "newer_view": self._clouds.replaced,
                 "no_room": self._clouds.overflowed,
             }
-            status = server_status(self.site, self._engine, self._load, self._stamp(), drops)
-            self._put(self.keys.status, status)
+            status = server_status(self.site, self._engine, self._load, self._teller.stamp(), drops)
+            self._teller.put(self.keys.status, status)
         if self._due("alarms", _ALARMS_S):
             alarms.judge_calibrations(self.site)
         if self._due("prune", _PRUNE_S):
             self._prune()
-
-    def _publish_state(self) -> None:
-        n = self._count_up("state")
-        began_s = time.monotonic()
-        state = publish.fleet_state(self.site, self.settings, self._stamp(), n)
-        self._put(self.keys.state, state)
-        pause_s = (time.monotonic() - began_s) / _STATE_SHARE
-        self._next["state"] = max(self._next["state"], began_s + pause_s)
 
     def _prune(self) -> None:
         """Lets go of views that are old and that nothing holds."""
@@ -374,13 +341,6 @@ class Service:
         self._next[what] = now + period_s
         return True
 
-    def _publish_all_correspondences(self) -> None:
-        for pair in self.site.book.pairs():
-            self._publish_correspondences(pair)
-
-    def _publish_correspondences(self, pair: tuple[str, str]) -> None:
-        self._put(self.keys.correspondences(*pair), self.site.book.message(*pair, self.epoch))
-
     def _ask(self, parameters: dict[str, str]) -> Answer:
         """Has the server's own thread answer; runs in a thread of its own."""
         asked = Asked(parameters, Future())
@@ -389,13 +349,6 @@ class Service:
             return asked.answer.result(_ANSWER_S)
         except TimeoutError:
             return Answer(error="the server is busy: ask again")
-
-    def _count_up(self, what: str) -> int:
-        self._numbers[what] = self._numbers.get(what, 0) + 1
-        return self._numbers[what]
-
-    def _stamp(self) -> Stamp:
-        return Stamp(self.epoch, time.monotonic(), time.time_ns())
 
 
 def _said(outcome: Outcome) -> str:

@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pose_server.pairs.schedule import Turns
@@ -19,6 +19,7 @@ def line_of(weights: dict[int, float]) -> Turns[int]:
     return line
 
 
+@settings(deadline=None)
 @given(weights)
 def test_shares_are_proportional_to_weights(weights):
     line = line_of(weights)
@@ -30,6 +31,7 @@ def test_shares_are_proportional_to_weights(weights):
     assert off < 0.05
 
 
+@settings(deadline=None)
 @given(weights, st.integers(0, 10**6), st.floats(0.0, 3.0))
 def test_nobody_waits_longer_than_the_bound_whoever_comes_goes_or_changes(weights, seed, step_s):
     chance = random.Random(seed)

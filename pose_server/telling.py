@@ -1,0 +1,88 @@
+"""What the server tells, and when: poses that changed, alignments, correspondences, the fleet's
+state at a steady rate.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from pose_server import publish
+from pose_server.pairs.judging import PairResult
+from pose_server.publish import Stamp
+from pose_server.settings import ServerSettings
+from pose_server.site import RobotPair, Site
+from protocol.base import Message
+from protocol.keys import Keys
+from protocol.messages import OperatorUpdate, ViewName
+
+_STATE_SHARE = 0.05  # of the server's own thread that making the fleet's state may take
+
+
+@dataclass
+class Teller:
+    """Publishes what the server knows.
+
+    Attributes:
+        put: publishes a message under a key.
+        epoch: of this server's life.
+    """
+
+    site: Site
+    keys: Keys
+    settings: ServerSettings
+    epoch: str
+    put: Callable[[str, Message], None]
+    _numbers: dict[str, int] = field(default_factory=dict)
+    _saw_newest: dict[str, object] = field(default_factory=dict)
+    _saw_solution: object = None
+
+    def moved(self) -> None:
+        """Poses of robots with a newer view, and of those that a solve moved or whose pair was
+        aligned.
+        """
+        site = self.site
+        solved = self._saw_solution is not site.solution
+        self._saw_solution = site.solution
+        touched = set() if site.dirty else site.touched  # what they led to is still to be solved
+        for name, robot in site.robots.items():
+            newest = robot.track.newest
+            moved = name in touched or (solved and publish.has_moved(site, robot))
+            if newest is None or (self._saw_newest.get(name) is newest and not moved):
+                continue
+            pose = publish.robot_pose(site, robot, self.settings, self.stamp())
+            if pose is None:
+                continue
+            self._saw_newest[name] = newest
+            robot.published = pose
+            self.put(self.keys.pose(name), pose)
+        touched.clear()
+
+    def alignment(self, i: ViewName, j: ViewName, result: PairResult) -> None:
+        """An alignment of two robots' views."""
+        n = self._count_up(f"{i.robot} {j.robot}")
+        message = publish.alignment(i, j, result, self.stamp(), n)
+        self.put(self.keys.alignment(i.robot, j.robot), message)
+
+    def correspondences(self, pair: RobotPair) -> None:
+        """A pair's whole set."""
+        self.put(self.keys.correspondences(*pair), self.site.book.message(*pair, self.epoch))
+
+    def receipts(self, update: OperatorUpdate) -> None:
+        """What became of all updates of an operator's session so far."""
+        receipts = self.site.book.receipts(update, self.epoch)
+        self.put(self.keys.receipts(update.operator), receipts)
+
+    def state(self) -> float:
+        """The fleet's state; returns for how many seconds none is worth its cost."""
+        began_s = time.monotonic()
+        state = publish.fleet_state(self.site, self.settings, self.stamp(), self._count_up("state"))
+        self.put(self.keys.state, state)
+        return (time.monotonic() - began_s) / _STATE_SHARE
+
+    def stamp(self) -> Stamp:
+        """This server, now."""
+        return Stamp(self.epoch, time.monotonic(), time.time_ns())
+
+    def _count_up(self, what: str) -> int:
+        self._numbers[what] = self._numbers.get(what, 0) + 1
+        return self._numbers[what]
