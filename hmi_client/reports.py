@@ -8,7 +8,7 @@ from hmi_client.ground import heading_rad, position, position_sigma_m
 from hmi_client.matrix import length_text
 from hmi_client.model import Entry, Pair
 from hmi_client.session import OperatorSession
-from protocol.messages import PairCell, RobotPose
+from protocol.messages import PairCell, RobotPose, ServerStatus
 
 Record = dict[str, Any]
 
@@ -120,6 +120,18 @@ class Watcher:
         return [{"type": "event", "text": text}]
 
 
+def _inside(status: ServerStatus) -> str:
+    """What waits in the server, what takes its time, what it picked last: lines of their own."""
+    waiting = ", ".join(f"{n} {line}" for line, n in status.waiting.items() if n)
+    stages = ", ".join(f"{stage} {ms:.1f}" for stage, ms in status.stage_ms.items())
+    lines = [
+        f"waiting: {waiting or 'nothing'}; longest wait {status.wait_share:.0%} of its bound",
+        f"median ms: {stages or 'nothing yet'}",
+        f"picked last: {status.picked}" if status.picked else "",
+    ]
+    return "".join(f"\n{line}" for line in lines if line)
+
+
 def status_text(session: OperatorSession) -> str:
     """The server, its robots and its questions."""
     parts = []
@@ -131,6 +143,7 @@ def status_text(session: OperatorSession) -> str:
             f"{status.views} views, {status.alignments} alignments ({status.pairs_per_s:.1f}/s), "
             f"{status.solves} solves, {status.pending_jobs} pending, "
             f"longest wait {status.max_pair_wait_s:.1f} s, dropped: {drops or 'nothing'}"
+            + _inside(status)
         )
     rows = [robot_row(session, robot) for robot in session.robots()]
     located = sum(row[1] == "yes" for row in rows)

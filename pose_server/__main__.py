@@ -38,6 +38,9 @@ def run(
         Path | None, typer.Option(help="Lines 'r1 r2': pairs left to the operator.")
     ] = None,
     anchor: Annotated[str | None, typer.Option(help="Robot at the fleet's origin.")] = None,
+    metrics: Annotated[
+        str | None, typer.Option(help="Serve the status to Prometheus at HOST:PORT.")
+    ] = None,
     takeover: Annotated[
         bool | None,
         typer.Option("--takeover", help="Start even if another server of the site is alive."),

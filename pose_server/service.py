@@ -18,6 +18,7 @@ from pose_server.correspondences.journal import Journal, StoredView
 from pose_server.correspondences.records import JournalError, Session
 from pose_server.fetching import Fetched, FetchedNewest, FetchedWide, Fetcher
 from pose_server.inbox import Asked, Inbox, Selected, TokenSeen, Updated
+from pose_server.metrics import Metrics
 from pose_server.pairs.agenda import compare_some
 from pose_server.pairs.cluster import ClusterPool
 from pose_server.pairs.engine import Done
@@ -25,6 +26,7 @@ from pose_server.pairs.workers import Engine, LocalPool
 from pose_server.publishers import Publishers
 from pose_server.settings import ServerSettings
 from pose_server.site import Site
+from pose_server.stages import Stages
 from pose_server.status import Load, server_status
 from pose_server.telling import Teller
 from pose_server.views import open_view
@@ -66,6 +68,8 @@ class Service:
         self._fetcher = Fetcher(self.keys, link.query, self._queue.put, self._drops)
         self._awaiting = Awaiting(self._fetcher.ask)
         self._load = Load(time.monotonic())
+        self._stages = Stages()
+        self._metrics = None if settings.metrics is None else Metrics(settings.metrics)
         self._next: dict[str, float] = {}
         self._solved_s = self._solve_took_s = 0.0
         self._noted_anchor = site.anchor
@@ -108,6 +112,8 @@ class Service:
 
     def close(self) -> None:
         """Ends the workers and the session."""
+        if self._metrics is not None:
+            self._metrics.close()
         self._fetcher.close()
         self._engine.close()
         self.link.close()
@@ -172,7 +178,8 @@ class Service:
             if sample is None:
                 return
             try:
-                view = open_view(sample.payload, sample.encoding, time.monotonic())
+                with self._stages.timed("open_view"):
+                    view = open_view(sample.payload, sample.encoding, time.monotonic())
                 if self.keys.chunks(sample.key)[1] != view.name.robot:
                     raise CodecError("view under another robot's key")
                 alarms.note_arrival(self.site, view, time.time_ns())
@@ -205,6 +212,8 @@ class Service:
             log.warning(
                 "alignment failed i=%s j=%s reason=%s", done.job.i.name, done.job.j.name, done.error
             )
+        else:
+            self._stages.note({"job": done.wall_ms, **done.result.timings_ms})
         pipeline.take_result(self.site, done, time.monotonic())
         self._ask_for_wide_sets()
         i, j = done.job.i.name, done.job.j.name
@@ -286,7 +295,8 @@ class Service:
         pause = min(self._solve_took_s * (1 / _SOLVE_SHARE - 1), _LONGEST_PAUSE_S)
         if not self.site.dirty or now < self._solved_s + pause:
             return
-        pipeline.solve(self.site, now)
+        with self._stages.timed("solve"):
+            pipeline.solve(self.site, now)
         if pipeline.note_components(self.site) or self.site.anchor != self._noted_anchor:
             self._noted_anchor = self.site.anchor
             self._note_gauge()
@@ -306,7 +316,8 @@ class Service:
 
     def _publish_steadily(self) -> None:
         if self._due("state", 1.0 / self.settings.state_hz):
-            pause_s = self._teller.state()
+            with self._stages.timed("state"):
+                pause_s = self._teller.state()
             self._next["state"] = max(self._next["state"], time.monotonic() + pause_s)
         if self._due("status", _STATUS_S):
             drops = {
@@ -314,12 +325,22 @@ class Service:
                 "newer_view": self._clouds.replaced,
                 "no_room": self._clouds.overflowed,
             }
-            status = server_status(self.site, self._engine, self._load, self._teller.stamp(), drops)
-            self._teller.put(self.keys.status, status)
+            self._publish_status(drops)
         if self._due("alarms", _ALARMS_S):
             alarms.judge_calibrations(self.site)
         if self._due("prune", _PRUNE_S):
             self._prune()
+
+    def _publish_status(self, drops: dict[str, int]) -> None:
+        now = self._teller.stamp()
+        status = server_status(self.site, self._engine, self._load, self._stages, now, drops)
+        self._teller.put(self.keys.status, status)
+        if self._metrics is not None:
+            robots = self.site.robots.values()
+            located = sum(
+                r.alive and r.published is not None and r.published.located for r in robots
+            )
+            self._metrics.show(status, len(robots), located)
 
     def _prune(self) -> None:
         """Lets go of views that are old and that nothing holds."""

@@ -30,6 +30,9 @@ class ServerSettings(BaseSettings):
         None, description="file with lines 'r1 r2': pairs that only the operator may start"
     )
     state_hz: float = Field(4.0, gt=0, le=20, description="rate of the fleet's state, at most")
+    metrics: str | None = Field(
+        None, description="serve the status to Prometheus at HOST:PORT, or at PORT of this machine"
+    )
     takeover: bool = Field(False, description="start even if another server of the site is alive")
     fresh_s: float = Field(
         5.0, gt=0, description="a pose older than this does not count as located"

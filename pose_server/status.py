@@ -1,6 +1,7 @@
 """How the server is doing: load, queue and drops, as it is published."""
 
 import resource
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -8,8 +9,10 @@ from importlib.metadata import version
 from pose_server.pairs.workers import Engine
 from pose_server.publish import Stamp
 from pose_server.site import Site
+from pose_server.stages import Stages
 from protocol.messages import ServerStatus
 
+_RATE_OVER_S = 10.0
 _DROPS = ("without_token", "worker_died")  # counted by the site
 
 
@@ -19,14 +22,29 @@ class Load:
 
     began_s: float
     startup_cpu_s: float = field(default_factory=lambda: _cpu_s())
+    _seen: deque[tuple[float, int]] = field(default_factory=deque)
+
+    def rate(self, alignments: int, now_s: float) -> float:
+        """Alignments per second over the last ten seconds."""
+        self._seen.append((now_s, alignments))
+        while len(self._seen) > 2 and now_s - self._seen[0][0] > _RATE_OVER_S:
+            self._seen.popleft()
+        since_s, before = self._seen[0] if len(self._seen) > 1 else (self.began_s, 0)
+        return (alignments - before) / max(now_s - since_s, 1e-3)
 
 
 def server_status(
-    site: Site, engine: Engine, load: Load, stamp: Stamp, drops: Mapping[str, int]
+    site: Site,
+    engine: Engine,
+    load: Load,
+    stages: Stages,
+    stamp: Stamp,
+    drops: Mapping[str, int],
 ) -> ServerStatus:
     """The status now.
 
     Args:
+        stages: times of what is done.
         drops: what was refused or replaced before it reached the site, by reason.
     """
     uptime = stamp.now_s - load.began_s
@@ -41,7 +59,7 @@ def server_status(
         solves=counts.get("solves", 0),
         pending_jobs=engine.running,
         workers=engine.workers,
-        pairs_per_s=counts.get("alignments", 0) / max(uptime, 1e-3),
+        pairs_per_s=load.rate(counts.get("alignments", 0), stamp.now_s),
         other_cpu_ms_per_view=1e3 * (_cpu_s() - load.startup_cpu_s) / max(views, 1),
         max_pair_wait_s=site.agenda.max_wait_s,
         drops={
@@ -50,9 +68,24 @@ def server_status(
             "newer_view": newer,
         },
         version=version("fleetpose"),
+        waiting=_waiting(site),
+        wait_share=site.agenda.max_wait_share,
+        stage_ms=stages.medians_ms(),
+        picked=site.agenda.picked,
     )
 
 
 def _cpu_s() -> float:
     used = resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_utime + used.ru_stime
+
+
+def _waiting(site: Site) -> dict[str, int]:
+    robots, pairs = site.robots.values(), site.pairs.values()
+    return {
+        **{line: len(turns) for line, turns in site.agenda.lines.items()},
+        "clicks": sum(record.clicks_due for record in pairs),
+        "search": sum(record.search_due for record in pairs),
+        "compare": len(site.agenda.to_compare),
+        "follow": sum(robot.waiting is not None for robot in robots),
+    }

@@ -326,8 +326,10 @@ class FleetState(
     )
 
 
-class ServerStatus(Message, frozen=True, schema="fleet.status.v1"):
-    """`server/status`: load, queue and drops."""
+class ServerStatus(Message, frozen=True, schema="fleet.status.v2", before="fleet.status.v1"):
+    """`server/status`: load, queue and drops. v2 says what waits, what takes time, and why the last
+    pair was picked.
+    """
 
     server_epoch: Epoch
     uptime_s: NonNegative
@@ -341,6 +343,18 @@ class ServerStatus(Message, frozen=True, schema="fleet.status.v1"):
     max_pair_wait_s: NonNegative
     drops: dict[Text, Count] = Field(description="count by reason")
     version: Text
+    waiting: dict[Text, Count] = Field(
+        default={},
+        description="pairs in line: joining, unlikely, sharpening; with new clicks; to search "
+        "again; to compare by looks; robots with a view to be followed",
+    )
+    wait_share: NonNegative = Field(
+        default=0.0, description="longest wait of a pair in picks, as a share of the bound"
+    )
+    stage_ms: dict[Text, NonNegative] = Field(
+        default={}, description="median of the last times of each stage, server's and workers'"
+    )
+    picked: Text = Field(default="", description="why the last pair of robots was picked")
 
 
 class RelativePose(Message, frozen=True, schema="fleet.relative_pose.v1"):

@@ -208,6 +208,10 @@ EXAMPLES = {
             max_pair_wait_s=2.0,
             drops={"codec": 1},
             version="0.1.0",
+            waiting={"joining": 3},
+            wait_share=0.25,
+            stage_ms={"solve": 5.5},
+            picked="r1 - r2: may join two components",
         ),
         m.RelativePose(a="r1", b="r2", T_a_b=T, covariance=COVARIANCE, age_s=0.1, through=("r3",)),
     )
