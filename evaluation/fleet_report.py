@@ -112,6 +112,8 @@ def _of_the_server(observer: Observer) -> dict[str, Any]:
         "max_pair_wait_s": last.max_pair_wait_s,
         "dropped_other": sum(n for why, n in last.drops.items() if why not in NEWEST_WINS),
         "drops": last.drops,
+        "stage_ms": last.stage_ms,
+        "pair_wait_share_of_bound": last.wait_share,
     }
 
 
