@@ -62,6 +62,11 @@ class Ledger:
         """How many clicks are final."""
         return len(told) - self.in_flight(told)
 
+    def heard_all(self, epoch: str) -> bool:
+        """Whether all sets that are known are what a server of that epoch told."""
+        with self._guard:
+            return all(known.server_epoch == epoch for known in self._sets.values())
+
     def account(
         self, told: list[dict[str, Any]], erased: set[Click]
     ) -> tuple[list[str], list[str]]:

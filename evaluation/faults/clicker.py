@@ -20,7 +20,7 @@ from protocol.transport import Link, Sample, wait_until
 
 REPEAT_S = 0.5
 MAX_OPEN = 40  # a person does not click on for ever while nothing is confirmed
-ERASED_SHARE = 0.3
+ERASED_SHARE, MANY, ERASED_OF_MANY = 0.3, 150, 0.7  # sets stay as large as persons make them
 
 Pair = tuple[str, str]
 Click = tuple[str, str, float, float]
@@ -130,6 +130,11 @@ class Clicker:
         with self._lock:
             return self._erased()
 
+    def heard_all(self, epoch: str) -> bool:
+        """Whether all sets that are known are what a server of that epoch told."""
+        with self._lock:
+            return all(known.server_epoch == epoch for known in self._sets.values())
+
     def account(self) -> Account:
         """Compares the sets that the server published last with what it receipted.
 
@@ -174,7 +179,8 @@ class Clicker:
         with self._lock:
             known = self._sets.get(places.pair)
             free = [item for item in known.items if item.id not in self._erasing] if known else []
-            if len(free) > 5 and self._chance.random() < ERASED_SHARE:
+            erased_share = ERASED_OF_MANY if len(free) > MANY else ERASED_SHARE
+            if len(free) > 5 and self._chance.random() < erased_share:
                 ticket = self._erase(places.pair, self._chance.choice(free))
             else:
                 ticket = self._add(places)

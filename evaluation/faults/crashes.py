@@ -21,7 +21,7 @@ from evaluation.observer import Observer
 from evaluation.report import write_csv
 from protocol.errors import FleetPoseError
 from protocol.keys import Keys
-from protocol.transport import Link, wait_until
+from protocol.transport import wait_until
 
 ROBOTS = 3
 CLICKS_PER_S = 60.0
@@ -90,7 +90,7 @@ def run(
         settled = clicker.settled(SETTLED_WITHIN_S) and wait_until(
             lambda: ledger.in_flight(fleet.told(_DESK)) == 0, SETTLED_WITHIN_S
         )
-        told = _restart_and_hear_all(fleet, observer, link)
+        told = _restart_and_hear_all(fleet, observer, clicker, ledger)
         account = clicker.account()
         told_clicks = fleet.told(_DESK)
         lost, doubled = ledger.account(told_clicks, clicker.erased())
@@ -211,10 +211,15 @@ def _poses_anew(fleet: LocalFleet, observer: Observer, since_s: float) -> float:
     return max((at - since_s for at in times() if at is not None), default=0.0)
 
 
-def _restart_and_hear_all(fleet: LocalFleet, observer: Observer, link: Link) -> bool:
-    """Ends and starts the server in good order, so that what it then tells is what it kept."""
+def _restart_and_hear_all(
+    fleet: LocalFleet, observer: Observer, clicker: Clicker, ledger: Ledger
+) -> bool:
+    """Ends and starts the server in good order, so that what it then tells is what it kept; whether
+    it told of every pair.
+    """
     before = observer.server_epochs()
     fleet.restart("server")
-    anew = wait_running(fleet, lambda: bool(observer.server_epochs() - before), UP_WITHIN_S)
-    states = observer.states_heard
-    return anew and wait_until(lambda: observer.states_heard > states + 2, UP_WITHIN_S)
+    if not wait_running(fleet, lambda: bool(observer.server_epochs() - before), UP_WITHIN_S):
+        return False
+    (epoch,) = observer.server_epochs() - before
+    return wait_until(lambda: clicker.heard_all(epoch) and ledger.heard_all(epoch), UP_WITHIN_S)

@@ -94,11 +94,18 @@ class Watch:
             self.named_s, self.texts = at_s, naming
 
     @property
+    def told(self) -> set[tuple[str, str]]:
+        """Robots, and what was told of them that has nothing to do with the fault."""
+        told = self.alarms - {(FAULTY, kind) for kind in self.fault.kinds}
+        if self.fault.event is None:  # else who sees somebody walk is right to say so
+            told |= {(robot, "moves") for robot in self.motions}
+        return told
+
+    @property
     def false_alarms(self) -> int:
-        """Alarms that have no reason: who else sees somebody walk is right to say so."""
-        right = {(FAULTY, kind) for kind in self.fault.kinds}
-        wrong_motions = set() if self.fault.event else self.motions
-        return len(self.alarms - right) + len(wrong_motions)
+        """At robots that are well."""
+        healthy = not (self.fault.kinds or self.fault.event)
+        return sum(healthy or robot != FAULTY for robot, _ in self.told)
 
 
 def run(
@@ -166,7 +173,7 @@ def _summary(
     logs: Path,
     fleet: LocalFleet,
 ) -> dict[str, Any]:
-    for text in (*watch.texts[:1], *(str(alarm) for alarm in sorted(watch.alarms))):
+    for text in (*watch.texts[:1], *(" ".join(alarm) for alarm in sorted(watch.told))):
         print(f"{name}: {text}")
     columns = ("time_s", "robot", "located", "verified", "position_error_m", "rotation_error_deg")
     table = [{column: getattr(row, column) for column in columns} for row in rows]
@@ -181,6 +188,7 @@ def _summary(
         "located_share": share(row.located for row in after if row.robot != FAULTY),
         "located_share_faulty": share(row.located for row in after if row.robot == FAULTY),
         "false_alarms": watch.false_alarms,
+        "other_alarms_faulty": len(watch.told) - watch.false_alarms,
         "leftover_processes": fleet.leftover_processes(),
     }
     if watch.fault.kinds or watch.fault.event:

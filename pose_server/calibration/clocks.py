@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 KEPT_VIEWS = 10
 LEAST_KEPT = 4
 LEAST_AHEAD_S = 0.5
-LEAST_BEHIND_S = 2.5  # a clock that is behind looks like a robot whose views are late
+LEAST_BEHIND_S = 2.5  # a clock that is behind looks like a robot whose views are late,
+STEADY_SHARE = 0.3  # but by much the same every time
 
 
 @dataclass
@@ -38,7 +39,9 @@ class Clocks:
         # on a machine that has too much to do all views are late
         usual_s = min(statistics.median(ahead_s.values()), 0.0) if len(ahead_s) > 2 else 0.0
         for robot, early_s in sorted(ahead_s.items()):
-            if early_s > LEAST_AHEAD_S or early_s < usual_s - LEAST_BEHIND_S:
+            spread_s = early_s - statistics.median(self._early_s[robot][1])
+            behind = early_s < usual_s - LEAST_BEHIND_S and spread_s < -STEADY_SHARE * early_s
+            if early_s > LEAST_AHEAD_S or behind:
                 yield robot, early_s
 
     def keep_only(self, robots: Collection[str]) -> None:

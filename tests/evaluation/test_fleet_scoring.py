@@ -1,5 +1,7 @@
 """Published poses are scored against the truth with the anchor as gauge."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -128,3 +130,11 @@ def test_truth_is_in_the_same_frame_as_the_estimate():
     poses = fleet()
     T_fleet_world = poses["a"].T_fleet_robot @ inverse(poses["a"].T_world_robot)
     assert T_fleet_world @ poses["b"].T_world_robot == pytest.approx(poses["b"].T_fleet_robot)
+
+
+def test_a_consumer_that_drops_unverified_poses_acts_on_no_grave_one_of_these():
+    poses = fleet((5.0, 0.0, 0.0))
+    for verified, acted in ((True, 1), (False, 0)):
+        poses["b"] = replace(poses["b"], verified=verified)
+        summary = summarize_poses(score_sample(1.0, NAMES, poses, "a"), LIMITS)
+        assert (summary["grave_located"], summary["grave_acted"]) == (1, acted)

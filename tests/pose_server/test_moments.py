@@ -100,9 +100,9 @@ def told(clocks):
     return dict(clocks.wrong())
 
 
-def arrivals(ahead_s, late_s=0.4, views=KEPT_VIEWS, clocks=None, robot="r2"):
+def arrivals(ahead_s, late_s=0.4, views=KEPT_VIEWS, clocks=None, robot="r2", later_s=1.5):
     clocks = clocks or Clocks()
-    for extra_s in np.linspace(0.0, 5.0, views):  # some views are much later than others
+    for extra_s in np.linspace(0.0, later_s, views):  # some views are later than others
         clocks.note(robot, "0" * 12, ahead_s - late_s - extra_s)
     return clocks
 
@@ -115,6 +115,7 @@ def test_a_clock_ahead_or_behind_is_told_by_the_quickest_view():
 def test_right_clocks_and_late_views_are_no_alarm():
     assert told(arrivals(0.0)) == told(arrivals(0.0, late_s=2.0)) == {}
     assert told(arrivals(3.0, views=3)) == {}
+    assert told(arrivals(0.0, late_s=3.0, later_s=5.0)) == {}  # by another time each: a busy robot
 
 
 def test_where_all_views_are_late_the_machine_is_slow():
