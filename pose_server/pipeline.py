@@ -20,12 +20,11 @@ from pose_server.fleet.types import Edge, SolveSettings
 from pose_server.following import back_job, followed, look_back, newest_arrived, track_job
 from pose_server.frames import on_keyframes
 from pose_server.pairs import agenda
-from pose_server.pairs.align import is_settled
 from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.refining import Start
 from pose_server.pairs.tracking import Attached, accepted
-from pose_server.site import PairRecord, RobotPair, Site
+from pose_server.site import RobotPair, Site
 from pose_server.views import KeptView
 from pose_server.widening import note_open, wide_job
 from protocol.errors import CodecError
@@ -250,7 +249,9 @@ def _choose_anchor(site: Site) -> None:
 
 
 def _click_job(site: Site) -> Job | None:
-    """The next pair whose correspondences changed. What features said of its views is known."""
+    """The next pair whose correspondences changed. Somebody waits: features are not asked, but
+    what they said of its views counts where it is known.
+    """
     for (a, b), record in site.pairs.items():
         if not record.clicks_due or record.running:
             continue
@@ -260,7 +261,7 @@ def _click_job(site: Site) -> Job | None:
             _unlink_operator(site, a, b)
             continue
         record.running = True
-        return replace(job, known=_known_of(record, job))
+        return replace(job, known=record.searched.get((job.i.name, job.j.name)), features=False)
     return None
 
 
@@ -289,14 +290,6 @@ def _with_clicks(site: Site, a: str, b: str) -> Job | None:
         features=(a, b) not in site.skip,
         clicks=clicks,
     )
-
-
-def _known_of(record: PairRecord, job: Job) -> PairResult | None:
-    """What features said of the views of a job, unless their wide sets could say more now."""
-    result, wide = record.searched.get((job.i.name, job.j.name), (None, False))
-    if result is None or (job.wide and not wide and not is_settled(result)):
-        return None
-    return result
 
 
 def _robots_job(site: Site, now_s: float) -> Job | None:
@@ -349,10 +342,11 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
         return
     note_depths(site, done)
     record.tried.setdefault((i, j), set()).add(done.job.purpose)
-    if done.job.purpose == "clicks":
-        record.search_due = done.job.known is not None and done.result.verdict != "verified"
-    if done.job.features and done.job.known is None:
-        record.searched[i, j] = (done.result, done.job.wide)
+    if done.job.purpose == "clicks" and not done.job.features:
+        may_ask = ordered_pair(i.robot, j.robot) not in site.skip
+        record.search_due = may_ask and done.result.verdict != "verified"
+    if done.job.features:
+        record.searched[i, j] = done.result
     note_open(site, done)
     record.last, record.last_views = done.result, (i, j)
     if _is_better(done.result, record.best):

@@ -97,7 +97,7 @@ class PairRecord:
     Attributes:
         untried: what the most promising keyframe pairs promise that were not aligned yet, 0 to 1.
         tried: keyframe pairs aligned, and by which kinds of starts.
-        searched: what features gave for keyframe pairs, and whether by their wide sets.
+        searched: what features gave for keyframe pairs.
         clicks_due: the operator's set changed and was not aligned since.
         search_due: it was, but without asking features again, and nothing sure was found.
         last: the newest alignment, its views and when it ended.
@@ -105,7 +105,7 @@ class PairRecord:
 
     untried: dict[ViewPair, float] = field(default_factory=dict)
     tried: dict[ViewPair, set[str]] = field(default_factory=dict)
-    searched: dict[ViewPair, tuple[PairResult, bool]] = field(default_factory=dict)
+    searched: dict[ViewPair, PairResult] = field(default_factory=dict)
     running: bool = False
     clicks_due: bool = False
     search_due: bool = False

@@ -103,18 +103,18 @@ def align_wide(
 
 
 def align_from(
-    i: PreparedView, j: PreparedView, starts: Sequence[Start], known: PairResult, wide: bool
+    i: PreparedView, j: PreparedView, starts: Sequence[Start], known: PairResult
 ) -> PairResult:
     """Aligns two views from given starts alone: what features say of them is known already, and is
-    kept where no start leads to anything better.
+    kept where no start leads to anything better. Somebody waits for it: the usual sets must do.
 
     Args:
-        i, j: the views, with their wide sets if `wide`.
+        i, j: the views.
         starts: poses to begin from.
         known: what `align_pair` or `align_wide` made of the same views.
     """
     began = time.perf_counter()
-    pair = Pair(i, j, WIDE_RATIO if wide else RATIO)
+    pair = Pair(i, j, RATIO)
     candidates = [one for start in starts for one in from_start(pair, start)]
     if known.T_i_j is not None:
         candidates.append(Candidate(pair, known.start, known.T_i_j))

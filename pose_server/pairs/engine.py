@@ -120,9 +120,7 @@ def run_job(job: Job) -> PairResult:
         if operator is not None:
             starts.append(operator.start)
     if job.known is not None:
-        if job.wide:
-            i, j = _both_wide(job)
-        result = align_from(i, j, starts, job.known, job.wide)
+        result = align_from(i, j, starts, job.known)
     else:
         result = job.usual or align_pair(i, j, starts, job.features)
         if job.features and job.wide and not is_settled(result):
