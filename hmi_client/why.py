@@ -105,7 +105,7 @@ def next_for(record: Record) -> str:
     if record["newest_view"] is None:
         return "check that its camera runs and that it may publish under its name"
     if record["alarms"]:
-        return "look after its calibration, as the alarm says: clicks do not make up for it"
+        return "do what its alarm says first: clicks do not make up for it"
     outliers = [pair["other"] for pair in record["pairs"] if _outliers(pair)]
     if outliers and not record["located"]:
         i, j = ordered_pair(robot, outliers[0])

@@ -14,7 +14,7 @@ def test_why_shows_a_suspect_calibration_and_asks_for_no_clicks():
     session.on_fleet(fleet(6, alarms=(Alarm(robot="r6", kind="scale", text=TEXT),)))
     record = why_record(session, "r6", {})
     assert record["alarms"] == [TEXT]
-    assert record["next"].startswith("look after its calibration")
+    assert record["next"].startswith("do what its alarm says")
     assert f"alarm: {TEXT}" in why_text(record).splitlines()
     other = why_record(session, "r5", {})
     assert other["alarms"] == [] and "calibration" not in why_text(other)

@@ -1,0 +1,130 @@
+"""Which pairs are aligned next: those that may join first, and only what may see the same."""
+
+import numpy as np
+import pytest
+
+from pose_server import pipeline
+from pose_server.correspondences.book import Book
+from pose_server.fleet.types import Edge
+from pose_server.geometry.se3 import inverse
+from pose_server.pairs import agenda
+from pose_server.pairs.agenda import note_promise, pick
+from pose_server.pairs.candidates import LEAST_OVERLAP, by_poses, expected_overlaps, to_compare
+from pose_server.site import Site
+from pose_server.views import open_view
+from protocol.codec import pack
+from tests.pose_server.scene import descriptors, pair_of_views, turned, view, walls
+from tests.pose_server.test_flows import ENCODING, Forgetful, named, site_of
+
+COVARIANCE = np.eye(6) * 1e-6
+
+
+def strangers(count: int) -> Site:
+    """Robots of which no two views look alike, and nothing is known of where they are."""
+    rng = np.random.default_rng(1)
+    return site_of(
+        *(
+            view(rng, f"r{k}", walls(rng, 300), descriptors(rng, 300), np.eye(4))
+            for k in range(count)
+        )
+    )
+
+
+def told(site: Site) -> Site:
+    """The site once its views were laid beside each other."""
+    pipeline.solve(site, 0.0)
+    while agenda.compare_some(site, 0.0):
+        pass
+    return site
+
+
+def standing_at(*yaws_deg: float) -> Site:
+    """Robots whose poses are known: side by side, turned by so much."""
+    site = strangers(len(yaws_deg))
+    truth = [turned(yaw) for yaw in yaws_deg]
+    for k in range(1, len(truth)):
+        T = inverse(truth[0]) @ truth[k]
+        site.link(Edge(named(0, "r0"), named(0, f"r{k}"), T, COVARIANCE, "verified"))
+    return told(site)
+
+
+def line_of(site: Site, a: str, b: str) -> str | None:
+    return next((name for name, line in site.agenda.lines.items() if (a, b) in line), None)
+
+
+def test_views_that_look_alike_may_join_and_others_are_unlikely():
+    rng = np.random.default_rng(3)
+    alike = pair_of_views(rng, turned(10))
+    other = view(rng, "r3", walls(rng, 800), descriptors(rng, 800), np.eye(4))
+    site = told(site_of(*alike, other))
+    assert line_of(site, "r1", "r2") == "joining"
+    assert line_of(site, "r1", "r3") == line_of(site, "r2", "r3") == "unlikely"
+    pair, views = pick(site, 1.0)
+    assert pair == ("r1", "r2")
+    assert {one.robot for one in views} == {"r1", "r2"}
+    assert "may join" in site.agenda.picked and "r1 - r2" in site.agenda.picked
+
+
+def test_where_poses_are_known_only_what_sees_the_same_is_worth_an_alignment():
+    site = standing_at(0.0, 15.0, 170.0)
+    assert line_of(site, "r0", "r1") == "sharpening"
+    assert line_of(site, "r0", "r2") is None and line_of(site, "r1", "r2") is None
+    assert set(by_poses(site, named(0, "r0"))) == {named(0, "r1")}
+    assert to_compare(site, named(0, "r0")) == []
+
+
+@pytest.mark.parametrize(("yaw_deg", "least", "most"), [(0.0, 0.99, 1.0), (90.0, 0.0, 0.0)])
+def test_expected_overlap_is_whole_for_the_same_place_and_none_for_another_way(
+    yaw_deg, least, most
+):
+    site = standing_at(0.0, yaw_deg)
+    (overlap,) = expected_overlaps(site, named(0, "r0"), [named(0, "r1")])
+    assert least <= overlap <= most
+
+
+def test_expected_overlap_is_the_same_both_ways_and_falls_with_the_angle():
+    overlaps = []
+    for yaw in (5.0, 15.0, 25.0):
+        site = standing_at(0.0, yaw)
+        (there,) = expected_overlaps(site, named(0, "r0"), [named(0, "r1")])
+        (back,) = expected_overlaps(site, named(0, "r1"), [named(0, "r0")])
+        assert there == pytest.approx(back, abs=0.2)
+        overlaps.append(there)
+    assert overlaps == sorted(overlaps, reverse=True)
+    assert overlaps[0] > LEAST_OVERLAP
+
+
+def test_pairs_that_others_joined_no_longer_wait_to_join():
+    site = told(strangers(3))
+    for k in (1, 2):
+        note_promise(site, named(0, "r0"), named(0, f"r{k}"), 0.9, 0.0)
+    assert line_of(site, "r0", "r1") == line_of(site, "r0", "r2") == "joining"
+    site.link(Edge(named(0, "r0"), named(0, "r1"), turned(15), COVARIANCE, "verified"))
+    told(site)
+    assert line_of(site, "r0", "r1") == "sharpening"
+    assert line_of(site, "r0", "r2") == "joining"
+
+
+def test_few_views_of_two_robots_wait_at_a_time_and_the_best_stay():
+    site = told(strangers(2))
+    rng = np.random.default_rng(2)
+    for seq in range(1, 40):
+        message = view(rng, "r1", walls(rng, 50), descriptors(rng, 50), np.eye(4), seq=seq)
+        site.views.keep(open_view(pack(message), ENCODING, 0.0))
+        note_promise(site, named(0, "r0"), named(seq, "r1"), seq / 40, 0.0)
+    promises = site.pair("r0", "r1").untried.values()
+    assert len(promises) <= 8 and min(promises) > 0.7
+
+
+def test_skipped_pairs_never_wait():
+    rng = np.random.default_rng(3)
+    site = told(site_of(*pair_of_views(rng, turned(10)), skip=frozenset({("r1", "r2")})))
+    assert line_of(site, "r1", "r2") is None
+    assert ("r1", "r2") in site.pairs  # the matrix and the questions know it
+    assert pick(site, 1.0) is None
+
+
+def test_an_empty_site_has_nothing_to_pick():
+    site = Site(book=Book(Forgetful()))
+    agenda.appraise(site, 0.0)
+    assert pick(site, 0.0) is None and not agenda.compare_some(site, 0.0)
