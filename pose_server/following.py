@@ -8,17 +8,21 @@ import numpy as np
 
 from pose_server.alarms import note_moment, note_motion
 from pose_server.fleet.types import Edge
+from pose_server.geometry.se3 import adjoint, inverse
+from pose_server.odometry import motion
 from pose_server.pairs.agenda import note_keyframe
 from pose_server.pairs.candidates import candidate_views
 from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.refining import Start
-from pose_server.pairs.tracking import accepted, moved
+from pose_server.pairs.tracking import Attached, accepted, moved
 from pose_server.site import Robot, Site, ViewPair
 from pose_server.views import STILL_PX, KeptView, something_moved, stands_still
 from protocol.messages import ViewName
 
 MOST_KEYFRAMES, LEAST_KEYFRAMES = 40, 6  # of a robot, in a small and in a large fleet
+MOST_BLIND = 5  # keyframes in a row that hang by odometry alone
+_ODOMETRY_SIGMA = 0.02  # how far a start by odometry may be off, share of the depth
 FLEET_KEYFRAMES = 500  # of all robots together: what a solve in a fraction of a second allows
 
 
@@ -27,6 +31,7 @@ def newest_arrived(site: Site, robot: Robot, view: KeptView) -> None:
     keyframe, no worker is needed.
     """
     robot.newest = robot.waiting = view.name
+    site.odometers.at(view.name, view.stamp_ns)
     if not robot.track.keyframes:
         robot.waiting = None
         new_keyframe(site, robot, view.name)
@@ -147,6 +152,10 @@ def _follow(site: Site, robot: Robot, view: ViewName) -> Job | None:
     past = view in robot.track.past
     keyframe = robot.track.next_try(view, lambda: candidate_views(site, robot, view))
     if keyframe is None or keyframe not in site.views:
+        if not past and (here := _by_odometry(site, robot, view)) is not None:
+            robot.track.follow_blindly(here)
+            new_keyframe(site, robot, view)
+            return None
         if robot.track.give_up(view) == "segment":
             what = "hangs on none of its keyframes" if past else "begins a new segment"
             site.say(f"{robot.name} lost track of itself: its view {view.seq} {what}")
@@ -161,7 +170,39 @@ def _follow(site: Site, robot: Robot, view: ViewName) -> Job | None:
         robot.tracking = view
         if robot.track.newest is not None and robot.track.newest.keyframe == keyframe:
             starts = (Start("previous", robot.track.newest.T_keyframe_view, 0.03),)
+    here = _moved_by_odometry(site, keyframe, view)
+    if here is not None:
+        starts = (Start("previous", here.T_keyframe_view, _ODOMETRY_SIGMA),)
     return Job("track", site.views[keyframe].encoded, site.views[view].encoded, starts)
+
+
+def _by_odometry(site: Site, robot: Robot, view: ViewName) -> Attached | None:
+    """Where a view that aligns with nothing hangs by its robot's own odometry, for a few views in a
+    row: a robot that was carried away does not know.
+    """
+    newest = robot.track.newest
+    if newest is None or robot.track.blind >= MOST_BLIND or newest.keyframe not in site.views:
+        return None
+    return _moved_by_odometry(site, newest.keyframe, view)
+
+
+def _moved_by_odometry(site: Site, keyframe: ViewName, view: ViewName) -> Attached | None:
+    """T_keyframe_view of the cameras by what the robot says of its own motion, if it does."""
+    before, now = site.views[keyframe], site.views[view]
+    a = site.odometers.at(keyframe, before.stamp_ns)
+    b = site.odometers.at(view, now.stamp_ns)
+    if a is None or b is None or keyframe.epoch != view.epoch:
+        return None
+    T, covariance = motion(a, b)
+    T_camera_robot = inverse(before.camera.T_robot_camera)
+    A = adjoint(T_camera_robot)
+    return Attached(
+        view,
+        keyframe,
+        T_camera_robot @ T @ now.camera.T_robot_camera,
+        A @ covariance @ A.T,
+        "plausible",
+    )
 
 
 def _stayed(site: Site, robot: Robot, view: KeptView, keyframe: ViewName | None) -> bool:

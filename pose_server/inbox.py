@@ -15,7 +15,7 @@ from protocol.drops import Drops
 from protocol.errors import CodecError, FleetPoseError
 from protocol.fields import EPOCH_PATTERN
 from protocol.keys import Keys
-from protocol.messages import OperatorUpdate, Selection
+from protocol.messages import Odometry, OperatorUpdate, Selection
 from protocol.transport import Answer, Link, Sample
 
 M = TypeVar("M", bound=Message)
@@ -40,6 +40,13 @@ class Selected:
     """An operator looks at a pair."""
 
     selection: Selection
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A robot said where it is in its own odometry frame."""
+
+    odometry: Odometry
 
 
 @dataclass(frozen=True)
@@ -75,6 +82,7 @@ class Inbox:
         """Declares all subscriptions but that of the clouds."""
         link.on_latched(self._keys.updates("*"), self._update)
         link.on_latched(self._keys.selection("*"), self._selection)
+        link.on_latched(self._keys.odometry("*"), self._odometry)
         link.on_alive(self._keys.robot_alive("*", "*"), self._token)
 
     def wake(self) -> None:
@@ -88,12 +96,21 @@ class Inbox:
     def _selection(self, sample: Sample) -> None:
         self._read(sample, Selection, Selected)
 
-    def _read(self, sample: Sample, kind: type[M], event: Callable[[M], object]) -> None:
-        """Stores what a message of an operator is, or counts why it is none."""
+    def _odometry(self, sample: Sample) -> None:
+        self._read(sample, Odometry, Moved, owner="robot")
+
+    def _read(
+        self,
+        sample: Sample,
+        kind: type[M],
+        event: Callable[[M], object],
+        owner: str = "operator",
+    ) -> None:
+        """Stores what a message is, or counts why it is none. Its owner has the key to himself."""
         try:
             message = unpack(kind, sample.payload, sample.encoding)
-            if self._keys.chunks(sample.key)[1] != getattr(message, "operator", None):
-                raise CodecError("message under another operator's key")
+            if self._keys.chunks(sample.key)[1] != getattr(message, owner, None):
+                raise CodecError(f"message under another {owner}'s key")
             if self._store.qsize() >= MAX_WAITING:
                 raise CodecError("more messages than the server can read")
         except FleetPoseError as error:

@@ -17,7 +17,7 @@ from pose_server.correspondences.book import Outcome
 from pose_server.correspondences.journal import Journal, StoredView
 from pose_server.correspondences.records import JournalError, Session
 from pose_server.fetching import Fetched, FetchedNewest, FetchedWide, Fetcher
-from pose_server.inbox import Asked, Inbox, Selected, TokenSeen, Updated
+from pose_server.inbox import Asked, Inbox, Moved, Selected, TokenSeen, Updated
 from pose_server.metrics import Metrics
 from pose_server.pairs.agenda import compare_some
 from pose_server.pairs.cluster import ClusterPool
@@ -154,6 +154,8 @@ class Service:
                 self._viewed(event.kept)
             case TokenSeen():
                 self._token(event)
+            case Moved():
+                self.site.odometers.note(event.odometry)
             case Asked():
                 event.answer.set_result(answers.relative(self.site, event.parameters))
             case _:
@@ -345,6 +347,7 @@ class Service:
     def _prune(self) -> None:
         """Lets go of views that are old and that nothing holds."""
         dropped = self.site.views.prune(time.monotonic(), self.site.held())
+        self.site.odometers.forget(dropped)
         for robot in self.site.robots.values():
             robot.track.forget({view for view in dropped if view.robot == robot.name})
         if not self._unclicked:

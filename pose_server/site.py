@@ -15,6 +15,7 @@ from pose_server.fleet.types import Edge, EdgeKey, FleetSolution, NodePose
 from pose_server.frames import upright
 from pose_server.geometry.se3 import compose_covariance, inverse
 from pose_server.lifting import Lifter
+from pose_server.odometry import Odometers
 from pose_server.pairs.agenda import Agenda
 from pose_server.pairs.engine import EncodedView
 from pose_server.pairs.judging import PairResult
@@ -143,6 +144,7 @@ class Site:
         depths: what pairs say of the robots' depths.
         widening: pairs that wait for wide sets of salient points.
         asking: what became of the questions.
+        odometers: what robots say of their own motion.
         alarms_told: robots and kinds of alarms that were an event already.
     """
 
@@ -175,6 +177,7 @@ class Site:
     depths: Memory = field(default_factory=Memory)
     widening: Widening = field(default_factory=Widening)
     asking: Asking = field(default_factory=Asking)
+    odometers: Odometers = field(default_factory=Odometers)
     alarms: tuple[Alarm, ...] = ()
     alarms_told: set[tuple[str, str]] = field(default_factory=set)
     _edge_counts: Counter[RobotPair] = field(default_factory=Counter[RobotPair])

@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from evaluation.fuzz.payloads import IMAGE_KINDS, MESSAGE_KINDS, VIEW_KINDS, Maker
 from hmi_client.arrivals import opened, picture_in
 from pose_server.views import open_view
@@ -16,6 +18,7 @@ from protocol.errors import CodecError, FleetPoseError
 from protocol.keys import Keys, new_epoch
 from protocol.messages import (
     CameraAnnouncement,
+    Odometry,
     OperatorUpdate,
     Receipts,
     Selection,
@@ -99,6 +102,17 @@ def targets_of(keys: Keys, robots: list[str], heard: Mapping[str, Sample]) -> li
         elsewhere = (keys.updates("op-other"), keys.selection("op-other"))
         good = Sample(key, pack(message), encoding_of(type(message)))
         found.append(Target(SERVER, good, MESSAGE_KINDS, server.operator, elsewhere, 300))
+    for robot in robots:
+        moment = Odometry(
+            robot=robot,
+            epoch=new_epoch(),
+            stamp_ns=1,
+            T_odom_robot=np.eye(4),
+            covariance=np.eye(6),
+        )
+        key, elsewhere = keys.odometry(robot), (keys.odometry("stranger"),)
+        good = Sample(key, pack(moment), encoding_of(Odometry))
+        found.append(Target(SERVER, good, MESSAGE_KINDS, server.odometry, elsewhere, 60))
     found += _told_to_the_client(keys, robots, heard)
     return found
 
@@ -159,6 +173,9 @@ class _Server:
     def operator(self, sample: Sample) -> object:
         kind = Selection if sample.key.endswith("/selection") else OperatorUpdate
         return self._owned(sample, 1, unpack(kind, sample.payload, sample.encoding).operator)
+
+    def odometry(self, sample: Sample) -> object:
+        return self._owned(sample, 1, unpack(Odometry, sample.payload, sample.encoding).robot)
 
     def _owned(self, sample: Sample, place: int, name: str) -> object:
         if self._keys.chunks(sample.key)[place] != name:

@@ -53,6 +53,7 @@ class Track:
         newest: the newest view that hangs somewhere.
         past: older views that are being placed: they do not tell where the robot is now.
         masks: where something moves, of the views of which that is known.
+        blind: keyframes in a row that hang by odometry alone.
         motion_s: when something was seen to move last, by the server's monotonic clock.
     """
 
@@ -63,6 +64,7 @@ class Track:
     past: set[ViewName] = field(default_factory=set)
     masks: dict[ViewName, Mask] = field(default_factory=dict)
     motion_s: float = -np.inf
+    blind: int = 0
     _tried: dict[ViewName, list[ViewName]] = field(default_factory=dict)
     _fallback: dict[ViewName, Attached] = field(default_factory=dict)
 
@@ -134,6 +136,7 @@ class Track:
             return "try"
         assert result.T_i_j is not None and result.covariance is not None
         here = Attached(view, keyframe, result.T_i_j, result.covariance, result.verdict)
+        self.blind = 0
         if not is_far(result, depth_m):
             self._hang(here)
             return "attached"
@@ -151,6 +154,11 @@ class Track:
             return self._promote(fallback)
         self.begin(view)
         return "segment"
+
+    def follow_blindly(self, here: Attached) -> None:
+        """Makes a view that aligned with nothing a keyframe, where odometry says."""
+        self.blind += 1
+        self._promote(here)
 
     def link_of(self, view: ViewName) -> Attached | None:
         """For a view that was promoted: how it hung on the keyframe it was aligned with."""
