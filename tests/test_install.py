@@ -1,7 +1,9 @@
 """What a robot gets installed: the closure of the extra `robot` in what is installed here."""
 
 import re
+import tomllib
 from importlib.metadata import PackageNotFoundError, requires
+from pathlib import Path
 
 import pytest
 
@@ -47,3 +49,17 @@ def test_a_robot_gets_what_it_needs_and_nothing_of_server_and_screen():
 @pytest.mark.parametrize(("extra", "brings"), [("server", "gtsam"), ("hmi", "textual")])
 def test_the_closure_is_found_at_all(extra, brings):
     assert brings in closure("fleetpose", frozenset({extra}))
+
+
+def test_every_package_of_the_project_is_installed():
+    root = Path(__file__).parent.parent
+    told = set(
+        tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    )
+    there = {
+        ".".join(init.parent.relative_to(root).parts)
+        for top in told
+        if "." not in top
+        for init in (root / top).rglob("__init__.py")
+    }
+    assert told == there
