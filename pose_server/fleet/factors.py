@@ -27,9 +27,9 @@ _LONGEST_TURN_RAD = 0.5  # that clicks may ask for at a time: their linearisatio
 _KNOWN, _UNKNOWN = 1e-6, 1e-9  # information, as a share of that in the best known direction
 
 
-def between(link: Link) -> gtsam.NonlinearFactor:
-    """The factor of a link."""
-    noise = gtsam.noiseModel.Gaussian.Covariance(link.right)
+def between(link: Link, inflation: float = 1.0) -> gtsam.NonlinearFactor:
+    """The factor of a link, its covariance inflated."""
+    noise = gtsam.noiseModel.Gaussian.Covariance(inflation * link.right)
     return gtsam.BetweenFactorPose3(link.a, link.b, gtsam.Pose3(link.T_a_b), noise)
 
 

@@ -1,5 +1,6 @@
 """A settled problem as the frozen solution that the rest of the server reads."""
 
+from collections import Counter
 from collections.abc import Iterable
 
 import gtsam
@@ -137,14 +138,23 @@ def _bridge(state: FleetInput, layout: Layout, group: tuple[int, ...]) -> Bridge
 def _uncertainty(
     state: FleetInput, layout: Layout, found: Found, wanted: Iterable[ViewName]
 ) -> gt.Uncertainty:
-    """Marginals of the components with wanted nodes, each for itself: a bad one spoils no other."""
+    """Marginals of the components with wanted nodes, each for itself: a bad one spoils no other.
+
+    Edges of one view share its errors: the more of them there are, the less each of them adds.
+    """
     asked = {layout.root[state.number[node]] for node in wanted}
     graphs = {root: gtsam.NonlinearFactorGraph() for root in asked}
-    for k in range(found.fit.graph.size()):
-        factor = found.fit.graph.at(k)
-        root = layout.root[factor.keys()[0]]
-        if root in graphs:
-            graphs[root].push_back(factor)
+    for root, graph in graphs.items():
+        graph.push_back(gt.prior(root, gtsam.Pose3()))
+    kept = [link for link, out in zip(found.links, found.fit.out, strict=True) if not out]
+    degrees = Counter(k for link in kept for k in (link.a, link.b))
+    for link in kept:
+        if (root := layout.root[link.a]) in graphs:
+            beside = (degrees[link.a] + degrees[link.b]) / 2 - 1
+            graphs[root].push_back(gt.between(link, 1.0 + state.settings.shared_share * beside))
+    for (a, b), told in found.told.items():
+        if (root := layout.root[a]) in graphs:
+            graphs[root].push_back(gt.click_factor(a, b, told))
     marginals = {
         root: gt.marginals_or_reason(graph, found.fit.values) for root, graph in graphs.items()
     }

@@ -78,6 +78,8 @@ class SolveSettings:
             the other's, or is another robot's: a robot that stands still repeats its mistakes.
         inlier_probability: share of right edges that pass the test against outliers.
         click_robust_sigmas: from where on a click counts less.
+        shared_share: of an edge's variance that it has in common with each other edge of its views;
+            covariances allow for it.
         outvoted_limit: so many new edges may be set aside as outvoted before all edges are judged
             anew.
     """
@@ -90,6 +92,7 @@ class SolveSettings:
     inlier_probability: float = 0.999
     click_robust_sigmas: float = 4.0
     outvoted_limit: int = 8
+    shared_share: float = 0.15
 
     @classmethod
     def at_depth(cls, depth_m: float) -> "SolveSettings":

@@ -108,3 +108,27 @@ def test_uncertainty_grows_along_a_chain(far):
     solution = solve_fleet(NODES, edges, gauge=NODES[0], wanted=NODES)
     near, further = (solution.nodes[NODES[k]].covariance for k in (far, far + 1))
     assert np.linalg.eigvalsh(further - near).min() > -1e-9
+
+
+def test_edges_of_one_view_add_less_the_more_there_are():
+    def ratio(reach: int) -> float:
+        pairs = [(a, (a + k) % 6) for a in range(6) for k in range(1, reach + 1)]
+        edges = [edge(NODES, TRUTH, a, b, None) for a, b in pairs]
+        sizes = [
+            np.trace(
+                solve_fleet(
+                    NODES,
+                    edges,
+                    gauge=NODES[0],
+                    wanted=[NODES[3]],
+                    settings=SolveSettings(shared_share=shared),
+                )
+                .nodes[NODES[3]]
+                .covariance
+            )
+            for shared in (0.15, 0.0)
+        ]
+        return float(sizes[0] / sizes[1])
+
+    assert 1.1 < ratio(1) < 1.2  # of two edges each
+    assert 1.4 < ratio(2) < 1.5  # of four
