@@ -88,10 +88,10 @@ def appraise(site: "Site", now_s: float) -> None:
                 if any(site.joined(*views) != joined for views in record.untried):
                     _think_again(site, record)
                     file(site, pair, now_s)
+    agenda.fresh = {view: None for view in agenda.fresh if view in site.views}
     for view in [view for view in agenda.fresh if view in solution.nodes]:
         del agenda.fresh[view]
-        if view in site.views:
-            _lay_beside(site, view, now_s)
+        _lay_beside(site, view, now_s)
 
 
 def compare_some(site: "Site", now_s: float, most: int = 10) -> bool:
