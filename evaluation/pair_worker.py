@@ -35,6 +35,8 @@ class Answer:
     inliers: int
     align_ms: float
     wide: bool = False
+    confirmed: bool = False
+    grown: bool = False
 
 
 def use_one_thread() -> None:
@@ -151,6 +153,8 @@ def answer_of(result: "PairResult", align_ms: float, wide: bool = False) -> Answ
         verdict=result.verdict,
         reasons=tuple(result.reasons),
         start=result.start,
+        confirmed=result.confirmed,
+        grown=result.grown,
         inliers=int(result.inliers),
         align_ms=align_ms,
         wide=wide,

@@ -372,9 +372,10 @@ def _link_pair(site: Site, i: Attached, j: Attached, done: Done) -> None:
     kind = "odometry" if i.keyframe.robot == j.keyframe.robot else "pair"
     if i.keyframe == j.keyframe:
         return
-    clicks = done.job.clicks
-    operator = done.result.start == "operator" and clicks is not None and len(clicks.z_i) >= 3
-    edge = Edge(i.keyframe, j.keyframe, T, covariance, done.result.verdict, kind, operator)
+    clicks, result = done.job.clicks, done.result
+    enough = clicks is not None and len(clicks.z_i) >= 3
+    operator, grown = result.confirmed and enough, result.grown and enough
+    edge = Edge(i.keyframe, j.keyframe, T, covariance, result.verdict, kind, operator, grown)
     before = site.edges.get(edge.key)
     if before is None or operator or _rank(edge) >= _rank(before):
         site.link(edge)

@@ -117,9 +117,10 @@ def _edge(
         sigmas = _PAPER_SIGMA * np.array([1.0] * 3 + [depth_m] * 3)
         return Edge(a, b, answer.T_i_j, np.diag(sigmas**2))
     assert answer.covariance is not None
-    operator = answer.start == "operator" and len(clicked.at_i.p) >= _FULL_POSE
+    enough = len(clicked.at_i.p) >= _FULL_POSE
+    operator, grown = answer.confirmed and enough, answer.grown and enough
     verdict = "verified" if answer.verdict == "verified" else "plausible"
-    return Edge(a, b, answer.T_i_j, answer.covariance, verdict, operator=operator)
+    return Edge(a, b, answer.T_i_j, answer.covariance, verdict, operator=operator, grown=grown)
 
 
 def _clicks(

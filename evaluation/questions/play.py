@@ -54,6 +54,7 @@ class Run:
         asked: pairs, in their order, as indices of the views.
         in_vain: how many of these had too few points in common.
         grave: a robot is located and gravely off.
+        grave_verified: and its pose is called verified.
     """
 
     seed: int
@@ -66,6 +67,7 @@ class Run:
     asked: list[tuple[int, int]] = field(default_factory=list)
     in_vain: int = 0
     grave: bool = False
+    grave_verified: bool = False
 
 
 @dataclass
@@ -179,26 +181,28 @@ def _asked(task: Task, server: FleetServer, policy: str) -> Run:
             run.clicks += CLICKS_FOR_NOTHING
             run.in_vain += 1
     run.located = located
-    run.grave = _gravely_off(task, server)
+    grave = _gravely_off(task, server)
+    run.grave, run.grave_verified = bool(grave), any(map(server.is_verified, grave))
     run.clicks = min(run.clicks, most) if located else most
     return run
 
 
-def _gravely_off(task: Task, server: FleetServer) -> bool:
-    """Whether a located robot is gravely off, the anchor as gauge."""
+def _gravely_off(task: Task, server: FleetServer) -> list[str]:
+    """Located robots that are gravely off, the anchor as gauge."""
     placed = server.located_cameras()
     anchor = server.site.anchor
     if anchor is None or anchor not in placed:
-        return False
+        return []
     depth_m = float(np.median([view.median_depth_m for view in map(server.kept, placed)]))
     limits = Limits.of(depth_m, task.recording.is_rgbd)
     views = {name: task.recording.views[server.views[name]] for name in placed}
+    grave = []
     for name, T_fleet_camera in placed.items():
         T = inverse(placed[anchor]) @ T_fleet_camera
         T_true = inverse(views[anchor].T_world_camera) @ views[name].T_world_camera
         if limits.grave(position_error_m(T_true, T), rotation_error_deg(T_true, T)):
-            return True
-    return False
+            grave.append(name)
+    return grave
 
 
 def clicks_in(task: Task, views: tuple[int, int], visit: int) -> list[tuple[Floats, Floats]]:

@@ -23,6 +23,7 @@ COLUMNS = (
     "clicks",
     "located",
     "grave",
+    "grave_verified",
     "in_vain",
     "asked",
 )
@@ -49,6 +50,7 @@ def summarize(played: Sequence[Played], policies: Sequence[str], seed: int = 0) 
     for what, flag in (
         ("failures", lambda run: not run.located),
         ("grave_located", lambda run: run.grave),
+        ("grave_verified", lambda run: run.grave_verified),
     ):
         summary[what] = {p: sum(flag(r) for r in runs if r.policy == p) for p in policies}
     summary["asked_in_vain"] = {p: sum(r.in_vain for r in runs if r.policy == p) for p in policies}
@@ -98,7 +100,7 @@ def write_results(out: Path, played: Sequence[Played], policies: Sequence[str]) 
 
 def _cells(run: Run) -> dict[str, Any]:
     asked = " ".join(f"{i}-{j}" for i, j in run.asked)
-    return {**vars(run), "located": int(run.located), "grave": int(run.grave), "asked": asked}
+    return {**vars(run), "located": int(run.located), "grave": int(run.grave), "grave_verified": int(run.grave_verified), "asked": asked}
 
 
 def _short(value: Any) -> tuple[Any, Any, Any]:

@@ -103,6 +103,11 @@ class FleetServer:
             if pose is not None and pose.located
         }
 
+    def is_verified(self, robot: str) -> bool:
+        """Whether only verified alignments hang it on the anchor."""
+        assert self.site.solution is not None
+        return self.site.solution.nodes[self.view(robot)].verdict == "verified"
+
     def kept(self, robot: str) -> "KeptView":
         """What the server keeps of a robot's view."""
         return self.site.views[self.view(robot)]

@@ -125,7 +125,7 @@ class _Problem:
         merged = {
             frozenset((link.a, link.b))
             for link in state.links
-            if link.edge is not None and state.edges[link.edge].operator
+            if link.edge is not None and state.edges[link.edge].grown
         }
         self._clicked = {
             (a, b): clicked

@@ -30,7 +30,8 @@ class Edge:
         verdict: of the alignment; only `verified` and `plausible` ones are used, and operator edges
             unless `rejected`.
         kind: `odometry` between views of one robot, `pair` between robots.
-        operator: grown from three or more of the operator's correspondences.
+        operator: three or more of the operator's correspondences agree with it.
+        grown: from them, so that they are in it.
     """
 
     a: ViewName
@@ -40,6 +41,7 @@ class Edge:
     verdict: Verdict = "verified"
     kind: EdgeKind = "pair"
     operator: bool = False
+    grown: bool = False
 
     @property
     def key(self) -> EdgeKey:

@@ -33,7 +33,8 @@ class PairResult:
     first. `depths` tells how the depths of both views fit each other, whatever the verdict; of two
     views of one robot `moving` tells what moves, and `shift` where j's depths fit its image best;
     `suggested` (M, 4) pixels of both views, u_i v_i u_j v_j, that an operator might confirm, best
-    first; only where it is not verified.
+    first; only where it is not verified. `confirmed` by clicks: they determine a pose, and all that
+    agree with each other agree with this one; `grown` from them: they are in it.
     """
 
     T_i_j: Floats | None
@@ -52,6 +53,8 @@ class PairResult:
     moving: tuple[Mask | None, Mask | None] = (None, None)
     suggested: Floats | None = None
     shift: DepthShift | None = None
+    confirmed: bool = False
+    grown: bool = False
 
 
 def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None) -> PairResult:

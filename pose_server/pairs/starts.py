@@ -165,7 +165,7 @@ def with_operator_fallback(
         return result
     suits = result.T_i_j is not None and operator.suits(result.T_i_j)
     if result.verdict == "verified" or (result.verdict == "plausible" and suits):
-        return result
+        return replace(result, confirmed=suits, grown=result.start == "operator")
     count = int(operator.inliers.sum())
     poses = [(operator.start.T_i_j, "operator", f"by {count} correspondences alone")]
     if result.T_i_j is not None and suits:
@@ -183,6 +183,8 @@ def with_operator_fallback(
                 reasons=(reason, *result.reasons),
                 overlap=seen.overlap,
                 start=start,
+                confirmed=True,
+                grown=True,
             )
     reason = f"{through:.0%} of the cloud moved by the correspondences is seen through"
     return replace(result, reasons=(*result.reasons, reason))

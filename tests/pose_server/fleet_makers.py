@@ -59,6 +59,7 @@ def edge(
     verdict: Verdict = "verified",
     kind: EdgeKind = "pair",
     operator: bool = False,
+    grown: bool = False,
     offset: Floats | None = None,
 ) -> Edge:
     """A measured edge; `offset` (6,) makes it wrong."""
@@ -66,7 +67,7 @@ def edge(
     T = exp_se3(xi) @ inverse(truth[a]) @ truth[b]
     if offset is not None:
         T = T @ exp_se3(offset)
-    return Edge(nodes[a], nodes[b], T, np.diag(sigmas**2), verdict, kind, operator)
+    return Edge(nodes[a], nodes[b], T, np.diag(sigmas**2), verdict, kind, operator, grown)
 
 
 def click(

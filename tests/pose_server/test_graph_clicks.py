@@ -121,7 +121,7 @@ def test_one_wrong_click_of_five_does_not_spoil_what_they_join():
 
 def test_clicks_that_an_edge_grew_from_are_not_counted_again():
     rng = np.random.default_rng(4)
-    grown = edge(NODES, TRUTH, 0, 1, rng, verdict="plausible", operator=True)
+    grown = edge(NODES, TRUTH, 0, 1, rng, verdict="plausible", operator=True, grown=True)
     clicks = clicks_on(POINTS, rng)
     with_clicks, without = (
         solve_fleet(NODES, [grown], given, wanted=[NODES[1]]) for given in (clicks, [])

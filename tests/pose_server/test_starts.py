@@ -100,6 +100,7 @@ def test_what_features_made_of_the_clicks_is_kept_where_the_clicks_agree_with_it
     far = retract(T_TRUE, np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))
     own = with_operator_fallback(replace(weak, T_i_j=far), operator, I, J)
     assert own.T_i_j is operator.start.T_i_j and own.start == "operator"
+    assert found.confirmed and own.confirmed
 
 
 def test_a_plausible_pose_yields_to_clicks_that_contradict_it_and_a_verified_one_does_not():
@@ -107,6 +108,13 @@ def test_a_plausible_pose_yields_to_clicks_that_contradict_it_and_a_verified_one
     far = retract(T_TRUE, np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))
     for verdict, T in (("verified", far), ("plausible", operator.start.T_i_j)):
         result = PairResult(far, np.eye(6), verdict, ("some matches agree",), start="features")
-        assert with_operator_fallback(result, operator, I, J).T_i_j is T
+        found = with_operator_fallback(result, operator, I, J)
+        assert found.T_i_j is T and found.confirmed is (verdict == "plausible")
+
+
+def test_clicks_confirm_a_plausible_pose_that_features_found_first():
+    operator = start_from_clicks(I, J, clicked(POINTS), ())
     near = PairResult(T_TRUE, np.eye(6), "plausible", ("some",), start="features")
-    assert with_operator_fallback(near, operator, I, J) is near
+    found = with_operator_fallback(near, operator, I, J)
+    assert found.T_i_j is T_TRUE and found.confirmed and found.start == "features"
+    assert not with_operator_fallback(near, None, I, J).confirmed
