@@ -100,7 +100,8 @@ def write_results(out: Path, played: Sequence[Played], policies: Sequence[str]) 
 
 def _cells(run: Run) -> dict[str, Any]:
     asked = " ".join(f"{i}-{j}" for i, j in run.asked)
-    return {**vars(run), "located": int(run.located), "grave": int(run.grave), "grave_verified": int(run.grave_verified), "asked": asked}
+    flags = {flag: int(getattr(run, flag)) for flag in ("located", "grave", "grave_verified")}
+    return {**vars(run), **flags, "asked": asked}
 
 
 def _short(value: Any) -> tuple[Any, Any, Any]:
