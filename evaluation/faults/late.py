@@ -55,7 +55,7 @@ def run(
             while len(tickets) < clicks:
                 share = min(CLICKS_PER_ROUND, -(-(clicks - len(tickets)) // DESKS))
                 tickets += _round(fleet, plan, observer, sessions, share, late_s, progress)
-            placed = _placed(fleet, sessions[0], pairs)
+            placed = _placed(fleet, sessions[0], pairs, sum(t.accepted for t in tickets))
     reasons = Counter(_kind(t.reason) for t in tickets if t.reason is not None)
     unknown = sum(n for reason, n in reasons.items() if any(word in reason for word in _UNKNOWN))
     return {
@@ -122,13 +122,16 @@ def _click(
     return [session.add(names[0], _uv(uv_i[k]), names[1], _uv(uv_j[k])) for k in chosen]
 
 
-def _placed(fleet: LocalFleet, session: OperatorSession, pairs: list[Pair]) -> int:
+def _placed(fleet: LocalFleet, session: OperatorSession, pairs: list[Pair], accepted: int) -> int:
     """How many correspondences the solution has judged, once that is all of them."""
 
     def items() -> list[str]:
         return [c.status for pair in pairs if (s := session.sets().get(pair)) for c in s.items]
 
-    wait_running(fleet, lambda: bool(items()) and "unused" not in items(), SETTLED_WITHIN_S)
+    def all_judged() -> bool:
+        return len(found := items()) >= accepted and "unused" not in found
+
+    wait_running(fleet, all_judged, SETTLED_WITHIN_S)
     return sum(status != "unused" for status in items())
 
 
