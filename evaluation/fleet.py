@@ -25,7 +25,7 @@ from protocol.transport import Link, SessionSettings, free_port, open_session, w
 
 FIRST_SAMPLE_S = 20.0
 WORLD_START_S = 60.0
-HELD_RATE_HZ = 0.5  # a robot that stands still sends every other second
+RATE_HZ, REPLAYED_RATE_HZ = 1.0, 0.5  # views of an agent, and of each robot that is replayed
 MOST_AGENTS = (
     16  # beyond, views are encoded beforehand and replayed, so that the server is measured
 )
@@ -197,7 +197,7 @@ def plan_world(names: Sequence[str], scratch: Path, moving: bool, seed: int) -> 
     world += ["--truth-file", str(truth_file), *(["--moving"] if moving else [])]
     places = {name: f"r{number + 1}" for number, name in enumerate(names)}
     robots = tuple(
-        RobotPlan(name, "synthetic", f"{listen}/{place}", rate_hz=1.0 if moving else HELD_RATE_HZ)
+        RobotPlan(name, "synthetic", f"{listen}/{place}", rate_hz=RATE_HZ)
         for name, place in places.items()
     )
     return FleetPlan(robots, WorldTruth(truth_file, places), tuple(world))
@@ -257,7 +257,7 @@ def start(
     """Starts router, world, server and robots."""
     start_servers(fleet, plan, workers, state, skip_pairs, cluster)
     if plan.replayed:
-        replayed = load.arguments(plan, HELD_RATE_HZ, plan.frames)
+        replayed = load.arguments(plan, REPLAYED_RATE_HZ, plan.frames)
         fleet.start(LOAD, "evaluation", "load", *fleet.connection, *replayed)
         return
     for robot in plan.robots:
@@ -382,5 +382,4 @@ def _doing(observer: Observer, plan: FleetPlan) -> str:
 
 
 def _replaying(name: str, folder: StrippedFolder, replay: tuple[str, ...]) -> RobotPlan:
-    rate_hz = HELD_RATE_HZ if "hold" in replay else 1.0
-    return RobotPlan(name, folder.camera, str(folder.path), replay, rate_hz)
+    return RobotPlan(name, folder.camera, str(folder.path), replay, RATE_HZ)

@@ -12,7 +12,14 @@ from dataclasses import dataclass
 from protocol.codec import encoding_of, pack
 from protocol.errors import FleetPoseError
 from protocol.keys import Keys
-from protocol.messages import Camera, CameraAnnouncement, KeptView, View, ViewName
+from protocol.messages import (
+    Camera,
+    CameraAnnouncement,
+    ImageHeader,
+    KeptView,
+    View,
+    ViewName,
+)
 from protocol.transport import ENCODING_JPEG, Link
 from robot_agent.cameras.base import Frame
 from robot_agent.kept import JPEG_QUALITY, KeptViews, kept_view
@@ -56,6 +63,7 @@ class Sender:
         self._image = link.bulk(keys.image(name), background=True)
         self._kept = KeptViews(epoch, self._settings.keep_views)
         self._announced: Camera | None = None
+        self._sent: tuple[Frame, KeptView] | None = None
         self._changed = threading.Condition()
         self._slot: tuple[ViewName, Frame] | None = None
         self._busy = False
@@ -134,27 +142,39 @@ class Sender:
         start_s = time.monotonic()
         if self._announced is None or pack(self._announced) != pack(frame.model):
             self.announce(frame.model)
-        salient = salient_points(frame.image, frame.ranges, frame.model, self._settings.max_salient)
-        salient_s = time.monotonic()
-        view = view_of(name, frame, salient)
-        kept = kept_view(view, frame.image, self._settings.jpeg_quality)
+        kept = self._again(name, frame) or self._encoded(name, frame)
+        self._sent = frame, kept
         self._kept.keep(kept)
-        payload = pack(view)
+        view, payload = kept.view, pack(kept.view)
         encoded_s = time.monotonic()
         self._cloud.put(payload, encoding_of(View))
         image_bytes = self._publish_image(kept)
         log.info(
-            "view name=%s salient=%d with_depth=%d bytes=%d image_bytes=%d "
-            "salient_ms=%.1f encode_ms=%.1f put_ms=%.1f",
+            "view name=%s salient=%d bytes=%d image_bytes=%d encode_ms=%.1f put_ms=%.1f",
             name,
             view.salient.count,
-            int((salient.inverse_depth > 0).sum()),
             len(payload),
             image_bytes,
-            1e3 * (salient_s - start_s),
-            1e3 * (encoded_s - salient_s),
+            1e3 * (encoded_s - start_s),
             1e3 * (time.monotonic() - encoded_s),
         )
+
+    def _encoded(self, name: ViewName, frame: Frame) -> KeptView:
+        salient = salient_points(frame.image, frame.ranges, frame.model, self._settings.max_salient)
+        return kept_view(view_of(name, frame, salient), frame.image, self._settings.jpeg_quality)
+
+    def _again(self, name: ViewName, frame: Frame) -> KeptView | None:
+        """The last view under a new name and stamp, where nothing in sight has changed since."""
+        if self._sent is None:
+            return None
+        before, kept = self._sent
+        if frame.ranges is not before.ranges or frame.model is not before.model:
+            return None
+        now = {"name": name, "stamp_ns": frame.stamp_ns}
+        up = {"up_camera": frame.up_camera, "up_sigma_rad": frame.up_sigma_rad}
+        view = kept.view.model_copy(update={**now, **up})
+        header = ImageHeader(view=name, stamp_ns=frame.stamp_ns)
+        return kept.model_copy(update={"view": view, "image": header})
 
     def _publish_image(self, kept: KeptView) -> int:
         if not self._image.wanted or kept.jpeg is None or kept.image is None:

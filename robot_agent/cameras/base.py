@@ -56,7 +56,8 @@ class Frame:
     Attributes:
         stamp_ns: UTC of the robot's clock.
         image: (H, W, 3) uint8 BGR, rectified, full resolution.
-        ranges: what was measured, on the grid of the image.
+        ranges: what was measured, on the grid of the image. Where it is the same object as that of
+            the frame before, nothing in sight has changed but the noise.
         model: intrinsics, extrinsics and noise of this very frame.
         up_camera: unit vector against gravity in the camera frame, where it is known.
     """

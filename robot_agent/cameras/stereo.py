@@ -19,6 +19,7 @@ from robot_agent.cameras.files import model_of
 from robot_agent.cameras.pairs import PairSource, open_pairs
 from robot_agent.cameras.rectify import Rectifier
 from robot_agent.cameras.rig import StereoRig, read_rig, read_rig_file
+from robot_agent.cameras.still import StillImage
 from robot_agent.cameras.video import VideoSettings
 
 Image = npt.NDArray[np.uint8]
@@ -59,6 +60,7 @@ class StereoMatcher:
                 f"{rig.size[0]} px: check the baseline ({baseline_m:g} m), or see less near"
             )
         self._full, self._half = _Sgbm(largest + 1), _Sgbm(largest / 2 + 1)
+        self._matched: tuple[StillImage, StillImage, DisparityImage] | None = None
         self.model = model_of(
             "the stereo calibration",
             width=rig.size[0],
@@ -70,7 +72,8 @@ class StereoMatcher:
         )
 
     def frame(self, left: Image, right: Image, stamp_ns: int) -> Frame:
-        """A frame from the two images of one moment, as the cameras gave them.
+        """A frame from the two images of one moment, as the cameras gave them. While both show what
+        they showed when they were matched last, its ranges are the same object.
 
         Args:
             left: (H, W, 3) BGR or (H, W) grey, uint8.
@@ -87,11 +90,20 @@ class StereoMatcher:
                     f"calibration is for {self.rig.size[0]}x{self.rig.size[1]} uint8"
                 )
         left, right = self.rectifier.left(left), self.rectifier.right(right)
-        disparity = self.disparity(_grey(left), _grey(right))
-        assert self.model.noise.focal_baseline_px_m is not None
-        ranges = DisparityImage(disparity, self.model.noise.focal_baseline_px_m, 1 / _SUBPIXELS)
+        ranges = self._ranges(_grey(left), _grey(right))
         image = left if left.ndim == 3 else cv2.cvtColor(left, cv2.COLOR_GRAY2BGR)
         return Frame(stamp_ns, np.asarray(image, np.uint8), ranges, self.model)
+
+    def _ranges(self, left: Image, right: Image) -> DisparityImage:
+        if self._matched is not None:
+            still_left, still_right, ranges = self._matched
+            if still_left.shows(left) and still_right.shows(right):
+                return ranges
+        assert self.model.noise.focal_baseline_px_m is not None
+        disparity = self.disparity(left, right)
+        ranges = DisparityImage(disparity, self.model.noise.focal_baseline_px_m, 1 / _SUBPIXELS)
+        self._matched = StillImage(left), StillImage(right), ranges
+        return ranges
 
     def disparity(self, left: Image, right: Image, left_right_check: bool = True) -> Disparity:
         """Disparities (H, W) of the left of two rectified grey images, px, nan where there is none.

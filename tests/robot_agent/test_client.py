@@ -107,6 +107,24 @@ def test_a_pushed_view_arrives_with_the_pushed_depth(robot, link):
     assert next_view(clouds).name.seq == 1
 
 
+def test_a_frame_in_which_nothing_changed_is_sent_again_as_a_view_of_its_own(robot, link):
+    slots = link.on_bulk(KEYS.cloud("*"))
+    ranges, views = DepthImage(DEPTH), []
+    for stamp_ns in (5, 6):
+        robot.push_frame(Frame(stamp_ns=stamp_ns, image=IMAGE, ranges=ranges, model=MODEL))
+        views.append(next_view(slots))
+    first, again = views
+    assert (first.stamp_ns, again.stamp_ns) == (5, 6)
+    assert again.name.seq == first.name.seq + 1
+    assert (again.cloud, again.salient) == (first.cloud, first.salient)
+    reply = link.query(f"{KEYS.view('r1')}?seq={again.name.seq}")
+    kept = unpack(KeptView, reply.payload, reply.encoding)
+    assert kept.view.name == kept.image.view == again.name and kept.image.stamp_ns == 6
+    other = Frame(stamp_ns=7, image=IMAGE, ranges=DepthImage(DEPTH + 1), model=MODEL)
+    robot.push_frame(other)
+    assert next_view(slots).cloud != first.cloud
+
+
 def test_the_caller_may_reuse_its_buffers(robot, link):
     clouds = link.on_bulk(KEYS.cloud("r1"))
     assert wait_until(lambda: robot._sender._cloud.wanted, 5)

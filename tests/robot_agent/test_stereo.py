@@ -109,6 +109,19 @@ def test_depth_is_that_of_the_scene_and_as_sure_as_it_says(scene, rig):
     assert 0.0 < (measured[seen] < 6).mean() < 0.3  # the panel is nearer than the wall
 
 
+def test_what_stands_still_is_matched_once(scene):
+    rig = rectified_rig()
+    matcher = StereoMatcher(rig)
+    first = matcher.frame(*shot(scene, rig, seed=1), stamp_ns=1)
+    again = matcher.frame(*shot(scene, rig, seed=2), stamp_ns=2)
+    assert again.ranges is first.ranges and again.stamp_ns == 2
+    left, right = shot(scene, rig, seed=3)
+    other = matcher.frame(left, np.roll(right, 1, axis=1), stamp_ns=3)
+    assert other.ranges is not first.ranges
+    back = matcher.frame(left, right, stamp_ns=4)
+    assert back.ranges is not other.ranges
+
+
 def test_the_rectified_image_is_what_a_pinhole_camera_sees_there(scene):
     rig = crooked_rig()
     frame = StereoMatcher(rig).frame(*shot(scene, rig), stamp_ns=0)
