@@ -76,7 +76,10 @@ def judge_calibrations(site: Site) -> None:
     if not site.depths.changed:
         return
     site.depths.changed = False
-    alarms = _of_bends(site)
+    if site.depths.compared:
+        site.depths.compared = False
+        site.bends = tuple(_of_bends(site))
+    alarms = list(site.bends)
     bent = {alarm.robot for alarm in alarms}
     alarms += _of_scales(site, bent)
     alarms += _of_skews(site, bent)

@@ -22,21 +22,26 @@ from protocol.messages import CorrespondenceStatus, ViewName
 
 Floats = npt.NDArray[np.floating]
 Judgement = tuple[CorrespondenceStatus, float | None, float | None]
+_ALIKE = 1e-4
 BEHIND_PX = 1e6  # told of a point that ends up behind the camera
 
 
 def click_factors(site: Site) -> list[ClickFactor]:
     """All live correspondences whose views hang on keyframes of the graph."""
-    nodes = set(site.keyframes())
-    factors = []
+    nodes, before, site.factors = set(site.keyframes()), site.factors, {}
     for kept in site.book.all():
         i, j = site.attached(kept.item.view_i), site.attached(kept.item.view_j)
         if i is None or j is None or i.keyframe not in nodes or j.keyframe not in nodes:
             continue
-        p_a, C_a = _carried(i, kept.p_i, kept.C_i)
-        p_b, C_b = _carried(j, kept.p_j, kept.C_j)
-        factors.append(ClickFactor(i.keyframe, j.keyframe, p_a, p_b, C_a, C_b, kept.item.id))
-    return factors
+        number, made_of = kept.item.id, (i, j, kept.p_i, kept.p_j)
+        known = before.get(number)
+        if known is None or not _same(known[0], made_of):
+            p_a, C_a = _carried(i, kept.p_i, kept.C_i)
+            p_b, C_b = _carried(j, kept.p_j, kept.C_j)
+            factor = ClickFactor(i.keyframe, j.keyframe, p_a, p_b, C_a, C_b, number)
+            known = made_of, factor
+        site.factors[number] = known
+    return [factor for _, factor in site.factors.values()]
 
 
 def clicks_between(site: Site, a: str, b: str) -> tuple[tuple[ViewName, ViewName], Clicks] | None:
@@ -68,25 +73,42 @@ def judge(site: Site) -> list[RobotPair]:
     changed.
     """
     changed = []
+    before, site.judged = site.judged, {}
     for pair in site.book.pairs():
         by_views: dict[tuple[ViewName, ViewName], list[Kept]] = defaultdict(list)
         for kept in site.book.of(*pair):
             by_views[kept.item.view_i, kept.item.view_j].append(kept)
         verdicts: dict[int, Judgement] = {}
         for views, clicked in by_views.items():
-            verdicts |= _judged(site, views, clicked)
+            points, T_i_j = [kept.p_i for kept in clicked], site.relative(*views)
+            known = before.get(views)
+            if T_i_j is None:
+                verdicts |= {kept.item.id: ("unused", None, None) for kept in clicked}
+            elif known and _same(known[0], points) and _alike(known[1], T_i_j, site.depth_m):
+                site.judged[views] = known
+            else:
+                site.judged[views] = points, T_i_j
+                verdicts |= _judged(site, views, clicked, T_i_j)
         if site.book.set_status(pair, verdicts):
             changed.append(pair)
     return changed
 
 
+def _same(before: Sequence[object], now: Sequence[object]) -> bool:
+    """Whether these are the very same objects."""
+    return len(before) == len(now) and all(a is b for a, b in zip(before, now, strict=True))
+
+
+def _alike(T: Floats, other: Floats, depth_m: float) -> bool:
+    """Whether two relative poses say the same of clicks, to a small share of a pixel."""
+    off = np.abs(T - other)
+    return bool(off[:3, :3].max() < _ALIKE and off[:3, 3].max() < _ALIKE * depth_m)
+
+
 def _judged(
-    site: Site, views: tuple[ViewName, ViewName], clicked: Sequence[Kept]
+    site: Site, views: tuple[ViewName, ViewName], clicked: Sequence[Kept], T_i_j: Floats
 ) -> dict[int, Judgement]:
-    """How the correspondences of two views fit the solution, by id."""
-    T_i_j = site.relative(*views)
-    if T_i_j is None:
-        return {kept.item.id: ("unused", None, None) for kept in clicked}
+    """How the correspondences of two views fit a relative pose, by id."""
     pairs = point_pairs(clicked)
     p = transform(T_i_j, pairs.p_b)
     seen = p @ site.views[views[0]].camera.K.T

@@ -46,6 +46,7 @@ _STATUS_S = 1.0
 _ALARMS_S = 5.0
 _SOLVE_SHARE = 0.25  # of the server's own thread that solving may take
 _LONGEST_PAUSE_S = 1.0  # but poses must not wait longer for the next solution
+_CLICKS_S = 0.3  # that a solve waits at most for what aligning clicks will say
 _ANSWER_S = 2.0
 
 
@@ -72,6 +73,7 @@ class Service:
         self._metrics = None if settings.metrics is None else Metrics(settings.metrics)
         self._next: dict[str, float] = {}
         self._solved_s = self._solve_took_s = 0.0
+        self._clean_s = 0.0
         self._noted_anchor = site.anchor
         self._unclicked = False
         self._unanswered: dict[Session, OperatorUpdate] = {}
@@ -181,7 +183,8 @@ class Service:
                 return
             try:
                 with self._stages.timed("open_view"):
-                    view = open_view(sample.payload, sample.encoding, time.monotonic())
+                    now_s = time.monotonic()
+                    view = open_view(sample.payload, sample.encoding, now_s, self.site.newest_view)
                 if self.keys.chunks(sample.key)[1] != view.name.robot:
                     raise CodecError("view under another robot's key")
                 alarms.note_arrival(self.site, view, time.time_ns())
@@ -294,8 +297,12 @@ class Service:
 
     def _solve_if_due(self) -> None:
         now = time.monotonic()
+        if not self.site.dirty:
+            self._clean_s = now
+            return
         pause = min(self._solve_took_s * (1 / _SOLVE_SHARE - 1), _LONGEST_PAUSE_S)
-        if not self.site.dirty or now < self._solved_s + pause:
+        clicks_on_their_way = self._engine.running_urgent and now < self._clean_s + _CLICKS_S
+        if now < self._solved_s + pause or clicks_on_their_way:
             return
         with self._stages.timed("solve"):
             pipeline.solve(self.site, now)

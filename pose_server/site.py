@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pose_server.asking import Asking
 from pose_server.calibration.memory import Memory
 from pose_server.correspondences.book import Book
-from pose_server.fleet.types import Edge, EdgeKey, FleetSolution, NodePose
+from pose_server.fleet.types import ClickFactor, Edge, EdgeKey, FleetSolution, NodePose
 from pose_server.frames import upright
 from pose_server.geometry.se3 import compose_covariance, inverse
 from pose_server.lifting import Lifter
@@ -145,6 +145,9 @@ class Site:
         widening: pairs that wait for wide sets of salient points.
         asking: what became of the questions.
         odometers: what robots say of their own motion.
+        factors: of the last solve, by id of the correspondence, and what they were made of.
+        judged: points clicked in two views, and the relative pose that they were judged at last.
+        bends: those of the alarms that say that a robot's depths bend.
         alarms_told: robots and kinds of alarms that were an event already.
     """
 
@@ -178,7 +181,10 @@ class Site:
     widening: Widening = field(default_factory=Widening)
     asking: Asking = field(default_factory=Asking)
     odometers: Odometers = field(default_factory=Odometers)
+    factors: dict[int, tuple[tuple[object, ...], ClickFactor]] = field(default_factory=dict)
+    judged: dict[ViewPair, tuple[list[Floats], Floats]] = field(default_factory=dict)
     alarms: tuple[Alarm, ...] = ()
+    bends: tuple[Alarm, ...] = ()
     alarms_told: set[tuple[str, str]] = field(default_factory=set)
     _edge_counts: Counter[RobotPair] = field(default_factory=Counter[RobotPair])
 
@@ -243,6 +249,11 @@ class Site:
             for name, robot in sorted(self.robots.items())
             if robot.track.newest is not None
         }
+
+    def newest_view(self, name: str) -> KeptView | None:
+        """The newest view of a robot, if there is one."""
+        robot = self.robots.get(name)
+        return None if robot is None or robot.newest is None else self.views.get(robot.newest)
 
     def encoded(self, view: ViewName) -> EncodedView:
         """A view for a worker that aligns two robots, without what moves in it, and with its wide

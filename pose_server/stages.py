@@ -5,8 +5,7 @@ from collections import defaultdict, deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-
-import numpy as np
+from statistics import median
 
 _LAST = 100
 
@@ -35,4 +34,4 @@ class Stages:
 
     def medians_ms(self) -> dict[str, float]:
         """By stage."""
-        return {stage: float(np.median(times)) for stage, times in sorted(self._times.items())}
+        return {stage: median(times) for stage, times in sorted(self._times.items())}

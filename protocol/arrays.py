@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, PlainSerializer
 Shape = tuple[int | None, ...]
 MAX_DISTANCE_M = 1e8  # between two frames
 MAX_COVARIANCE = 1e30
+_LAST_ROW, _IDENTITY = np.array((0.0, 0.0, 0.0, 1.0)), np.eye(3)
 
 
 def _checked(dtype: str, shape: Shape, finite: bool) -> Any:
@@ -44,10 +45,10 @@ def array_type(dtype: str, *shape: int | None, finite: bool = True) -> Any:
 
 def _check_rigid(value: Any) -> npt.NDArray[np.float64]:
     T = _checked("f8", (4, 4), True)(value)
-    if not np.allclose(T[3], (0.0, 0.0, 0.0, 1.0)):
+    if np.abs(T[3] - _LAST_ROW).max() > 1e-5:
         raise ValueError("last row of a pose is not 0 0 0 1")
     R = T[:3, :3]
-    if np.abs(R).max() > 1.01 or np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
+    if np.abs(R).max() > 1.01 or np.abs(R @ R.T - _IDENTITY).max() > 1e-3 or np.linalg.det(R) < 0:
         raise ValueError("rotation of a pose is not orthonormal")
     if np.abs(T[:3, 3]).max() > MAX_DISTANCE_M:
         raise ValueError(f"a pose farther than {MAX_DISTANCE_M:g} m")

@@ -37,16 +37,18 @@ class Memory:
         moments: what robots' own views say of when their depths are measured.
         clocks: what arrivals say of the robots' clocks.
         changed: whether anything was said or forgotten since it was set to false.
+        compared: the same of comparisons of two robots.
     """
 
     changed: bool = False
+    compared: bool = False
     moments: Moments = field(default_factory=Moments)
     clocks: Clocks = field(default_factory=Clocks)
     _pairs: dict[RobotPair, deque[Said]] = field(default_factory=dict)
 
     def note(self, i: str, j: str, said: Said) -> None:
         """Keeps a comparison of a view of robot i with one of robot j."""
-        self.changed = True
+        self.changed = self.compared = True
         if j < i:
             said = Said(said.errors.swapped(), said.rate_j, said.rate_i)
             i, j = j, i
@@ -60,7 +62,7 @@ class Memory:
 
     def forget(self, robot: str) -> None:
         """Drops what was said of a robot: it has another calibration now."""
-        self.changed = True
+        self.changed = self.compared = True
         self.moments.forget(robot)
         self._pairs = {pair: said for pair, said in self._pairs.items() if robot not in pair}
 

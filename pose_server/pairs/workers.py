@@ -71,6 +71,11 @@ class Engine:
         """Whether the worker for urgent jobs has none."""
         return self._pool.workers > 0 and not self._urgent
 
+    @property
+    def running_urgent(self) -> bool:
+        """Whether an urgent job is on its way."""
+        return self._urgent > 0
+
     def submit(self, job: Job, tries: int = 1) -> None:
         """Runs a job; its end is reported."""
         began = time.perf_counter()
