@@ -53,6 +53,28 @@ def fleet(
 
 
 @app.command()
+def restarts(
+    out: Out,
+    restarts: Annotated[int, typer.Option(min=1, help="How many fleets, one by one.")] = 30,
+    robots: Annotated[int, typer.Option(min=2, help="In each.")] = 8,
+    seconds: Annotated[float, typer.Option(min=1, help="From its start to its poses.")] = 12.0,
+    data: Annotated[
+        Path | None, typer.Option(help="Posed views; each fleet begins at another one.")
+    ] = None,
+    clouds: Clouds = None,
+    workers: Annotated[int, typer.Option(min=1, help="Alignment processes.")] = 2,
+    seed: Annotated[int, typer.Option(help="Of the first synthetic world; then one more.")] = 0,
+) -> None:
+    """Start fleets anew, each with other noise and other views, and compare the errors of their
+    poses with the covariances that the server publishes.
+    """
+    from evaluation.restarts import RestartsOptions, run
+
+    kind = clouds.value if clouds else None
+    run(RestartsOptions(restarts, robots, seconds, data, kind, workers, seed), out)
+
+
+@app.command()
 def faults(
     out: Out,
     kills: Annotated[
