@@ -103,9 +103,8 @@ def followed(site: Site, done: Done) -> None:
         return
     if step == "keyframe":
         new_keyframe(site, robot, view)
-    elif site.solution is not None:
-        node = site.solution.nodes.get(robot.track.attached[view].keyframe)
-        site.dirty |= node is None or node.covariance is None
+    else:
+        _ask_for_covariance(site, robot.track.attached[view].keyframe)
     if past:
         _placed(site, view)
 
@@ -216,7 +215,15 @@ def _stayed(site: Site, robot: Robot, view: KeptView, keyframe: ViewName | None)
         return False
     sigma_rad = STILL_PX / float(view.camera.K[0, 0])
     robot.track.stay(view.name, keyframe, sigma_rad, sigma_rad * view.median_depth_m)
+    _ask_for_covariance(site, keyframe)
     return True
+
+
+def _ask_for_covariance(site: Site, keyframe: ViewName) -> None:
+    """The next solve makes the covariance of a keyframe on which a robot has just come to hang."""
+    if site.solution is not None:
+        node = site.solution.nodes.get(keyframe)
+        site.dirty |= node is None or node.covariance is None
 
 
 def _placed(site: Site, view: ViewName) -> None:

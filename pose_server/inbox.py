@@ -59,6 +59,13 @@ class TokenSeen:
 
 
 @dataclass(frozen=True)
+class Noticed:
+    """Something that operators should know, from another thread of the server."""
+
+    text: str
+
+
+@dataclass(frozen=True)
 class Asked:
     """A query that the server's own thread answers."""
 

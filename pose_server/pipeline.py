@@ -195,20 +195,6 @@ def note_components(site: Site) -> bool:
     return bool(changed)
 
 
-def restore(site: Site, clicked_views: Sequence[KeptView]) -> None:
-    """After a restart: the views of the journal's correspondences are keyframes again, and all
-    pairs are due.
-    """
-    for view in clicked_views:
-        robot = site.robot(view.name.robot)
-        site.views.keep(view)
-        robot.track.recall(view.name)
-        agenda.note_keyframe(site, view.name)
-    for pair in site.book.pairs():
-        site.pair(*pair).clicks_due = True
-    site.dirty = bool(clicked_views)
-
-
 def _covariances_due(site: Site) -> set[ViewName]:
     """Keyframes that robots hang on and of which no covariance is known, and those of which it is
     oldest: each costs milliseconds in a large fleet.

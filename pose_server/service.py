@@ -17,13 +17,15 @@ from pose_server.correspondences.book import Outcome
 from pose_server.correspondences.journal import Journal, StoredView
 from pose_server.correspondences.records import JournalError, Session
 from pose_server.fetching import Fetched, FetchedNewest, FetchedWide, Fetcher
-from pose_server.inbox import Asked, Inbox, Moved, Selected, TokenSeen, Updated
+from pose_server.inbox import Asked, Inbox, Moved, Noticed, Selected, TokenSeen, Updated
 from pose_server.metrics import Metrics
 from pose_server.pairs.agenda import compare_some
 from pose_server.pairs.cluster import ClusterPool
 from pose_server.pairs.engine import Done
 from pose_server.pairs.workers import Engine, LocalPool
 from pose_server.publishers import Publishers
+from pose_server.session.keeper import Keeper, graph_of
+from pose_server.session.restoring import GRAPH
 from pose_server.settings import ServerSettings
 from pose_server.site import Site
 from pose_server.stages import Stages
@@ -42,6 +44,7 @@ log = logging.getLogger("pose_server")
 
 _TICK_S = 0.05
 _PRUNE_S = 2.0
+_GRAPH_S = 2.0  # of which a kill may cost the graph
 _STATUS_S = 1.0
 _ALARMS_S = 5.0
 _SOLVE_SHARE = 0.25  # of the server's own thread that solving may take
@@ -69,6 +72,9 @@ class Service:
         self._fetcher = Fetcher(self.keys, link.query, self._queue.put, self._drops)
         self._awaiting = Awaiting(self._fetcher.ask)
         self._load = Load(time.monotonic())
+        self._keeper = Keeper(
+            settings.state_dir / GRAPH, lambda said: self._queue.put(Noticed(said))
+        )
         self._stages = Stages()
         self._metrics = None if settings.metrics is None else Metrics(settings.metrics)
         self._next: dict[str, float] = {}
@@ -118,6 +124,8 @@ class Service:
             self._metrics.close()
         self._fetcher.close()
         self._engine.close()
+        self._keeper.offer(graph_of(self.site))
+        self._keeper.close()
         self.link.close()
         self.journal.close()
 
@@ -158,6 +166,8 @@ class Service:
                 self._token(event)
             case Moved():
                 self.site.odometers.note(event.odometry)
+            case Noticed():
+                self.site.say(event.text)
             case Asked():
                 event.answer.set_result(answers.relative(self.site, event.parameters))
             case _:
@@ -337,6 +347,8 @@ class Service:
             self._publish_status(drops)
         if self._due("alarms", _ALARMS_S):
             alarms.judge_calibrations(self.site)
+        if self._due("graph", _GRAPH_S):
+            self._keeper.offer(graph_of(self.site))
         if self._due("prune", _PRUNE_S):
             self._prune()
 

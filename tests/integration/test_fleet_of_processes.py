@@ -15,6 +15,8 @@ import pytest
 from deploy.local_fleet import LocalFleet
 from evaluation.fleet import open_link, plan_world, start
 from evaluation.observer import Observer
+from pose_server.session.graph_store import read_graph
+from pose_server.session.restoring import GRAPH
 from protocol.codec import unpack
 from protocol.keys import Keys
 from protocol.messages import PairCorrespondences, RobotPose
@@ -79,6 +81,34 @@ def test_frames_become_poses_of_the_whole_fleet(tmp_path):
         for name in ("r2", "r3"):
             assert error_m(observer, tmp_path, "r1", name) < 0.02 * RADIUS_M
     assert fleet.leftover_processes() == 0
+
+
+@pytest.mark.timeout(180)
+def test_a_killed_server_has_its_graph_again_and_aligns_no_robots_anew(tmp_path):
+    names = ("r1", "r2", "r3")
+    with running(tmp_path, 3) as (fleet, observer):
+
+        def all_located(but: str = "") -> bool:
+            fleet.check()
+            poses = [pose(observer, name) for name in names]
+            return all(p is not None and p.located and p.server_epoch != but for p in poses)
+
+        def is_kept() -> bool:
+            graph = read_graph(tmp_path / "state" / GRAPH)
+            between = {frozenset((e.a.robot, e.b.robot)) for e in graph.edges.values()}
+            return len(between) >= 2 and graph.gauge is not None
+
+        assert wait_until(lambda: all_located() and is_kept(), FIRST_POSE_S), fleet.tail("server")
+        epoch, before = pose(observer, "r2").server_epoch, pose(observer, "r3").T_fleet_robot
+        fleet.kill("server")
+        nobody = tmp_path / "nobody.txt"  # no pair is aligned by itself any more
+        nobody.write_text("r1 r2\nr1 r3\nr2 r3\n")
+        options = ("--workers", "2", "--skip-pairs", str(nobody))
+        fleet.start_server(*options, state=tmp_path / "state")
+        assert wait_until(lambda: all_located(but=epoch), FIRST_POSE_S), fleet.tail("server")
+        shift = pose(observer, "r3").T_fleet_robot[:3, 3] - before[:3, 3]
+        assert np.linalg.norm(shift) < 0.01 * RADIUS_M
+        assert pose(observer, "r1").gauge_revision == pose(observer, "r3").gauge_revision
 
 
 @pytest.mark.timeout(240)

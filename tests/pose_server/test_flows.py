@@ -14,6 +14,7 @@ from pose_server.pairs.agenda import compare_some
 from pose_server.pairs.engine import Done, run_job
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.tracking import Track
+from pose_server.session.restoring import restore
 from pose_server.site import Site
 from pose_server.views import KEEP_AT_LEAST, ViewStore, open_view, stands_still
 from protocol.codec import encoding_of, pack
@@ -230,7 +231,7 @@ def test_views_of_the_journal_are_keyframes_after_a_restart():
     T_true = turned(15)
     messages, _ = scene_with_points_to_click(np.random.default_rng(6), T_true)
     site = Site(book=Book(Forgetful()))
-    pipeline.restore(site, [kept(message) for message in messages])
+    restore(site, [kept(message) for message in messages])
     assert set(site.keyframes()) == {named(0, "r1"), named(0, "r2")}
     assert site.robots["r1"].track.newest is None
 

@@ -5,6 +5,7 @@ import pytest
 
 from pose_server import pipeline, publish
 from pose_server.pairs.engine import Done, run_job
+from pose_server.session.restoring import restore
 from pose_server.settings import ServerSettings
 from pose_server.site import MAX_HELD_BACK, PINNED_S, Site
 from protocol.errors import CodecError
@@ -168,7 +169,7 @@ def test_a_past_view_is_hung_by_a_worker_where_the_robot_had_moved():
 def test_a_still_robot_is_placed_at_once_after_a_restart():
     (first,) = messages(np.eye(4))
     site = empty_site()
-    pipeline.restore(site, [kept(first)])
+    restore(site, [kept(first)])
     pipeline.receive_token(site, "r1", EPOCH, True)
     again = first.model_copy(update={"name": named(7, "r1")})
     pipeline.receive_view(site, kept(again))
