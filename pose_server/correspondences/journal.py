@@ -9,7 +9,7 @@ import os
 import sqlite3
 import threading
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -29,14 +29,7 @@ from pose_server.correspondences.records import (
 from pose_server.correspondences.schema import MIGRATIONS
 from protocol.codec import pack, unpack
 from protocol.errors import CodecError
-from protocol.messages import (
-    Alignment,
-    Correspondence,
-    ImageHeader,
-    Rejection,
-    RobotPose,
-    ViewName,
-)
+from protocol.messages import Correspondence, ImageHeader, Rejection, ViewName
 
 __all__ = ["Journal", "JournalError", "StoredView"]
 
@@ -61,7 +54,8 @@ class Journal:
     """The journal of one server; may be used from several threads.
 
     Args:
-        path: the SQLite file; it and its folder are made where missing.
+        path: the SQLite file; it and its folder are made where missing. One of an older schema is
+            brought up to date; a copy stays beside it.
         migrations: the schema's versions, for tests.
 
     Raises:
@@ -74,6 +68,7 @@ class Journal:
         self._lock = _locked(path)
         try:
             self._db = _opened(path)
+            _keep_copy(self._db, migrations, path)
             with self._transaction():
                 _migrate(self._db, migrations, path)
         except BaseException:
@@ -149,7 +144,7 @@ class Journal:
             next_id = int(_get_meta(db, _NEXT_ID) or 0)
         return BookState(self._read(_kept, rows), revisions, sessions, next_id)
 
-    # views that were clicked in, and that live edges refer to
+    # views that were clicked in
 
     def keep_view(self, view: StoredView) -> None:
         """Writes a view, or adds the JPEG to one that is there."""
@@ -183,42 +178,6 @@ class Journal:
             gone = [key for key in there if key not in wanted]
             db.executemany("DELETE FROM views WHERE (robot, epoch, seq) = (?, ?, ?)", gone)
         return len(gone)
-
-    # accepted alignments and last poses
-
-    def keep_alignments(self, alignments: Iterable[Alignment]) -> None:
-        """Writes alignments; a newer one of the same two views replaces the older."""
-        rows = [(*_key(a.view_i), *_key(a.view_j), pack(a)) for a in alignments]
-        with self._transaction() as db:
-            db.executemany("INSERT OR REPLACE INTO alignments VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
-
-    def alignments(self) -> tuple[Alignment, ...]:
-        """All alignments."""
-        with self._transaction() as db:
-            rows = db.execute("SELECT alignment FROM alignments ORDER BY rowid").fetchall()
-        return self._read(lambda row: unpack(Alignment, row[0]), rows)
-
-    def keep_only_alignments(self, pairs: Collection[tuple[ViewName, ViewName]]) -> int:
-        """Drops the alignments of all other pairs of views; how many."""
-        wanted = {(*_key(i), *_key(j)) for i, j in pairs}
-        columns = "robot_i, epoch_i, seq_i, robot_j, epoch_j, seq_j"
-        with self._transaction() as db:
-            there = db.execute(f"SELECT {columns} FROM alignments").fetchall()
-            gone = [key for key in there if key not in wanted]
-            db.executemany(f"DELETE FROM alignments WHERE ({columns}) = (?, ?, ?, ?, ?, ?)", gone)
-        return len(gone)
-
-    def keep_poses(self, poses: Iterable[RobotPose]) -> None:
-        """Writes the last pose of each robot given."""
-        rows = [(pose.robot, pack(pose)) for pose in poses]
-        with self._transaction() as db:
-            db.executemany("INSERT OR REPLACE INTO poses VALUES (?, ?)", rows)
-
-    def poses(self) -> tuple[RobotPose, ...]:
-        """The last pose of each robot."""
-        with self._transaction() as db:
-            rows = db.execute("SELECT pose FROM poses ORDER BY robot").fetchall()
-        return self._read(lambda row: unpack(RobotPose, row[0]), rows)
 
     # what else must not be forgotten: the anchor, the gauge's revision
 
@@ -302,6 +261,29 @@ def _opened(path: Path) -> sqlite3.Connection:
             f"journal {path} cannot be read: {error}; move it away to begin a new one"
         ) from error
     return db
+
+
+def _keep_copy(db: sqlite3.Connection, migrations: Sequence[Sequence[str]], path: Path) -> None:
+    """A journal that is about to be migrated stays as it was in a file beside it.
+
+    Raises:
+        JournalError: it cannot be written; the journal is not touched then.
+    """
+    (version,) = db.execute("PRAGMA user_version").fetchone()
+    copy = path.with_name(f"{path.name}.schema{version}")
+    if not 0 < version < len(migrations) or copy.exists():
+        return
+    unfinished = copy.with_name(f"{copy.name}.part")
+    try:
+        unfinished.unlink(missing_ok=True)
+        with closing(sqlite3.connect(unfinished)) as target:
+            db.backup(target)
+        unfinished.rename(copy)
+    except (OSError, sqlite3.Error) as error:
+        raise JournalError(
+            f"journal {path} has schema {version} and must be brought to {len(migrations)}, but a "
+            f"copy cannot be written beside it: {error}; make room and start again"
+        ) from error
 
 
 def _migrate(db: sqlite3.Connection, migrations: Sequence[Sequence[str]], path: Path) -> None:
