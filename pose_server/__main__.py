@@ -90,6 +90,53 @@ def router(
     route(tuple(listen or ["tcp/127.0.0.1:7447"]), config)
 
 
+StateDir = Annotated[Path, typer.Option(help="Folder of the server's journal.")]
+
+
+@app.command("export")
+def export_session(
+    out: Annotated[Path, typer.Option(help="Folder to make.")],
+    state_dir: StateDir = Path("fleetpose-state"),
+) -> None:
+    """Writes what a server knows as files: the operators' correspondences (JSON, CSV, with the
+    images they were clicked in), the pose graph (g2o) and where the robots' keyframes are (TUM).
+
+    The server may be running. Look at a trajectory with `evo_traj tum OUT/trajectories/*/*.tum`.
+    """
+    from pose_server.session.exporting import export
+
+    written = export(state_dir, out)
+    print(
+        f"{out}: {written.correspondences} correspondences with {written.views} views; "
+        f"{written.keyframes} keyframes, {written.links} links, {written.components} components"
+    )
+
+
+@app.command("import")
+def import_session(
+    files: Annotated[
+        list[Path], typer.Argument(help="JSON or CSV files, or folders that `export` made.")
+    ],
+    state_dir: StateDir = Path("fleetpose-state"),
+) -> None:
+    """Takes correspondences from files into the journal of a server that does not run.
+
+    Each is checked as if it were clicked now: the pixels must have depth, the views must be in the
+    journal or in the folder `views` beside the file. What is there already is skipped. Ends with 1
+    if anything was refused, and says what and why.
+    """
+    from pose_server.session.importing import import_files
+
+    found = import_files(state_dir, files)
+    for place, reason in found.refused:
+        print(f"{place}: {reason}", file=sys.stderr)
+    print(
+        f"{found.accepted} correspondences taken, {found.duplicates} were there already, "
+        f"{len(found.refused)} refused"
+    )
+    raise typer.Exit(1 if found.refused else 0)
+
+
 def main() -> None:
     """Entry point: says what to install or to mend instead of a traceback."""
     try:
