@@ -16,6 +16,7 @@ from pose_server.pairs.judging import PairResult
 from pose_server.pairs.tracking import Attached
 
 Floats = npt.NDArray[np.floating]
+_STRAY_RAD_S, _STRAY_SHARE_S = 0.02, 0.02  # of a robot unseen: turn, and way as a share of depth
 
 
 def on_keyframes(result: PairResult, i: Attached, j: Attached) -> tuple[Floats, Floats]:
@@ -40,6 +41,15 @@ def in_fleet(T_fleet_root: Floats, covariance: Floats) -> Floats:
     """A covariance of left perturbations in the root's frame, in the fleet's."""
     A = adjoint(T_fleet_root)
     return A @ covariance @ A.T
+
+
+def strayed(T: Floats, covariance: Floats, age_s: float, depth_m: float) -> Floats:
+    """A covariance (6, 6) of a pose of so long ago as one of now: nobody knows where its robot went
+    since, at a pace that a robot is likely to have in a scene of that depth.
+    """
+    sigmas = age_s * np.repeat((_STRAY_RAD_S, _STRAY_SHARE_S * depth_m), 3)
+    A = adjoint(T)
+    return covariance + A @ np.diag(sigmas**2) @ A.T
 
 
 def position_sigma(T: Floats, covariance: Floats) -> float:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pose_server.frames import body_pose, in_fleet, position_sigma
+from pose_server.frames import body_pose, in_fleet, position_sigma, strayed
 from pose_server.geometry.se3 import inverse, rotation_angle
 from pose_server.matrix import pair_cells
 from pose_server.pairs.judging import PairResult
@@ -64,6 +64,8 @@ def robot_pose(
     located = not _why_not(site, settings, root, verdict, age_s, T, covariance, kept.median_depth_m)
     robot.published_node = site.solution.nodes[newest.keyframe]
     jumped = _jumped(site, robot, newest.keyframe, T_fleet_root, component)
+    if age_s > settings.fresh_s:
+        covariance = strayed(T, covariance, age_s, site.depth_m)
     robot.poses_sent += 1
     return RobotPose(
         robot=robot.name,
@@ -256,7 +258,12 @@ def _robot_state(site: Site, robot: Robot, settings: ServerSettings, now_s: floa
     if pose is not None:
         kept = site.views.get(pose.view)
         age_s = pose.age_s if kept is None else max(0.0, now_s - kept.received_s)
-        pose = pose.model_copy(update={"age_s": age_s, "located": not why_not})
+        now = {"age_s": age_s, "located": not why_not}
+        if age_s > settings.fresh_s:
+            counted_s = pose.age_s if pose.age_s > settings.fresh_s else 0.0
+            unseen_s = max(age_s**2 - counted_s**2, 0.0) ** 0.5
+            now["covariance"] = strayed(pose.T_fleet_robot, pose.covariance, unseen_s, site.depth_m)
+        pose = pose.model_copy(update=now)
     return RobotState(
         robot=robot.name,
         alive=robot.alive,

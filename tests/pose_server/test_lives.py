@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from pose_server import pipeline, publish
+from pose_server.frames import position_sigma
 from pose_server.pairs.engine import Done, run_job
 from pose_server.session.restoring import restore
 from pose_server.settings import ServerSettings
@@ -199,6 +200,11 @@ def test_poses_age_by_the_servers_clock_whatever_the_robots_clocks_say(offset_h)
     assert fresh.pose.located and fresh.why_not == "" and fresh.pose.age_s == 1.0
     assert fresh.pose.valid_until_ns == 10**18 + offset_ns + int(1e9 * SETTINGS.fresh_s)
     assert not stale.pose.located and "60 s old" in stale.why_not and stale.pose.age_s == 60.0
+    sigmas = [position_sigma(s.pose.T_fleet_robot, s.pose.covariance) for s in (fresh, stale)]
+    older = told(site, 120.0).pose
+    sigmas.append(position_sigma(older.T_fleet_robot, older.covariance))
+    assert sigmas[1] > sigmas[0] + 0.1 * site.depth_m  # it may be anywhere by now
+    assert sigmas[2] == pytest.approx(2 * sigmas[1], rel=0.01)
 
 
 def test_a_robot_that_is_gone_is_not_located_any_more():
