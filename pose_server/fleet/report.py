@@ -141,6 +141,7 @@ def _uncertainty(
     """Marginals of the components with wanted nodes, each for itself: a bad one spoils no other.
 
     Edges of one view share its errors: the more of them there are, the less each of them adds.
+    Where edges agree better than their covariances say, they are surer than these.
     """
     asked = {layout.root[state.number[node]] for node in wanted}
     graphs = {root: gtsam.NonlinearFactorGraph() for root in asked}
@@ -148,10 +149,12 @@ def _uncertainty(
         graph.push_back(gt.prior(root, gtsam.Pose3()))
     kept = [link for link, out in zip(found.links, found.fit.out, strict=True) if not out]
     degrees = Counter(k for link in kept for k in (link.a, link.b))
+    factor = {root: _variance_factor(state, layout, found, root) for root in graphs}
     for link in kept:
         if (root := layout.root[link.a]) in graphs:
             beside = (degrees[link.a] + degrees[link.b]) / 2 - 1
-            graphs[root].push_back(gt.between(link, 1.0 + state.settings.shared_share * beside))
+            shared = 1.0 + state.settings.shared_share * beside
+            graphs[root].push_back(gt.between(link, factor[root] * shared))
     for (a, b), told in found.told.items():
         if (root := layout.root[a]) in graphs:
             graphs[root].push_back(gt.click_factor(a, b, told))
@@ -159,3 +162,23 @@ def _uncertainty(
         root: gt.marginals_or_reason(graph, found.fit.values) for root, graph in graphs.items()
     }
     return gt.Uncertainty(state.number, found.poses, marginals, layout.root)
+
+
+def _variance_factor(state: FleetInput, layout: Layout, found: Found, root: int) -> float:
+    """By what a component's edges are to be scaled: the variance of unit weight of its least
+    squares, beside what it is where covariances are right.
+
+    Part of every edge's error belongs to its views and shows in no cycle. Few cycles prove little.
+    """
+    settings = state.settings
+    used = [
+        distance2
+        for link, out, distance2 in zip(
+            found.links, found.fit.out, found.fit.distance2, strict=True
+        )
+        if not out and layout.root[link.a] == root
+    ]
+    dof = 6 * max(len(used) - layout.root.count(root) + 1, 0)
+    prior = settings.unit_weight_dof
+    unit_weight = (prior * settings.unit_weight + sum(used)) / (prior + dof)
+    return float(np.clip(unit_weight / settings.unit_weight, settings.least_variance, 1.0))

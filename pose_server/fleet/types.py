@@ -82,6 +82,11 @@ class SolveSettings:
         click_robust_sigmas: from where on a click counts less.
         shared_share: of an edge's variance that it has in common with each other edge of its views;
             covariances allow for it.
+        unit_weight: squared residual of an edge per degree of freedom, where its covariance is
+            right: the rest of its error is its views' own and shows in no cycle. A fleet that
+            closes better is surer than its edges say.
+        unit_weight_dof: degrees of freedom that this expectation counts as.
+        least_variance: to which share of what edges say covariances may fall by that.
         outvoted_limit: so many new edges may be set aside as outvoted before all edges are judged
             anew.
     """
@@ -94,7 +99,10 @@ class SolveSettings:
     inlier_probability: float = 0.999
     click_robust_sigmas: float = 4.0
     outvoted_limit: int = 8
-    shared_share: float = 0.15
+    shared_share: float = 0.25
+    unit_weight: float = 0.4
+    unit_weight_dof: float = 12.0
+    least_variance: float = 0.25
 
     @classmethod
     def at_depth(cls, depth_m: float) -> "SolveSettings":

@@ -1,5 +1,7 @@
 """What the fleet solve says about its own errors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -132,3 +134,25 @@ def test_edges_of_one_view_add_less_the_more_there_are():
 
     assert 1.1 < ratio(1) < 1.2  # of two edges each
     assert 1.4 < ratio(2) < 1.5  # of four
+
+
+def test_a_fleet_that_closes_better_than_its_edges_say_is_surer_and_never_by_too_much():
+    """Edges that state too large covariances are found out by their cycles; few cycles prove
+    nothing, and edges that are right are believed as they are.
+    """
+    rng = np.random.default_rng(5)
+    pairs = [(a, b) for a in range(6) for b in range(a + 1, 6)]
+
+    def sigma_m(stated: float, used: list[tuple[int, int]]) -> float:
+        edges = [edge(NODES, TRUTH, a, b, rng) for a, b in used]
+        edges = [replace(e, covariance=stated * e.covariance) for e in edges]
+        solution = solve_fleet(NODES, edges, gauge=NODES[0], wanted=NODES, settings=NO_FLOOR)
+        covariance = solution.nodes[NODES[3]].covariance
+        return float(np.sqrt(np.trace(covariance[3:, 3:])))
+
+    right = np.mean([sigma_m(1.0, pairs) for _ in range(20)])
+    wide = np.mean([sigma_m(8.0, pairs) for _ in range(20)])
+    assert wide < 0.8 * np.sqrt(8.0) * right
+    assert wide > 0.45 * np.sqrt(8.0) * right
+    tree = [(0, k) for k in range(1, 6)]
+    assert sigma_m(8.0, tree) == pytest.approx(np.sqrt(8.0) * sigma_m(1.0, tree), rel=0.2)
