@@ -14,7 +14,7 @@ from tests.pose_server.fleet_makers import click, edge, exp_se3, left_error, rin
 
 NODES = [view(f"r{k}") for k in range(6)]
 TRUTH = ring(6)
-NO_FLOOR = SolveSettings(floor_rotation_rad=0.0, floor_translation_m=0.0)
+NO_FLOOR = SolveSettings(floor_rotation_rad=0.0, floor_translation_m=0.0, shared_share=0.0)
 
 
 def nees(error, covariance):
