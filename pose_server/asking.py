@@ -52,6 +52,18 @@ class Open:
     told: bool = False
 
 
+@dataclass(frozen=True)
+class Asked:
+    """Questions, and from what they were ranked, when: the parts of the fleet and who is asked
+    about, and the numbers, which change with every solve.
+    """
+
+    parts: object = None
+    numbers: object = None
+    at_s: float = float("-inf")
+    questions: tuple[Question, ...] = ()
+
+
 @dataclass
 class Asking:
     """Memory of questions and answers.
@@ -61,14 +73,14 @@ class Asking:
         in_vain: how often keyframes were looked at without a click.
         open: the pair that was clicked in last.
         answers: the newest last; that of the open pair still changes.
-        asked: the questions as they were ranked last, and what they were ranked from.
+        asked: the questions as they were ranked last.
     """
 
     looks: dict[Client, Look] = field(default_factory=dict)
     in_vain: dict[ViewPair, int] = field(default_factory=dict)
     open: Open | None = None
     answers: tuple[Answer, ...] = ()
-    asked: tuple[object, tuple[Question, ...]] = (None, ())
+    asked: Asked = Asked()
 
     def times_in_vain(self, pairs: Sequence[ViewPair]) -> int:
         """How often an operator looked at any of these keyframes in vain."""
@@ -115,7 +127,7 @@ def note_clicks(site: "Site", outcomes: Sequence[Outcome]) -> None:
             now = _standing(site)
             if now is None:
                 continue
-            gains = {(q.i, q.j): q.gain for q in site.asking.asked[1]}
+            gains = {(q.i, q.j): q.gain for q in site.asking.asked.questions}
             opened = Open(outcome.pair, gains.get(outcome.pair, 0.0), now)
             site.asking.open = opened
             site.asking.answers = (*site.asking.answers, _answer(opened, now))[-_MOST_ANSWERS:]

@@ -243,7 +243,7 @@ def fleet_state(site: Site, settings: ServerSettings, stamp: Stamp, n: int) -> F
         up_assumed=site.gauge is None or site.views[site.gauge].up_camera is None,
         robots=robots,
         pairs=pair_cells(site, stamp.now_s),
-        questions=questions(site),
+        questions=questions(site, stamp.now_s),
         events=tuple(site.events),
         pinned=site.pinned(),
         alarms=site.alarms,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from pose_server.asking import Asked
 from pose_server.fleet import chances
 from pose_server.fleet.chances import Look, Try
 from pose_server.fleet.questions import PairFacts, rank_questions
@@ -17,6 +18,7 @@ from protocol.messages import Question, Suggestion, ViewName
 
 Floats = npt.NDArray[np.floating]
 
+_RENEWED_S = 1.0
 _WITH_SUGGESTIONS = 5  # questions, the first ones
 _MOST_SUGGESTIONS = 8
 # Chance that two views which look quite alike share enough to click, if no found pose is right
@@ -24,23 +26,26 @@ _LIKE_UNTRIED, _LIKE_TRIED, _LEAST = 0.6, 0.15, 0.02
 _USUAL_LIKENESS = 0.5
 
 
-def questions(site: Site) -> tuple[Question, ...]:
-    """What to ask the operator, best first; ranked anew when something changed."""
+def questions(site: Site, now_s: float = float("inf")) -> tuple[Question, ...]:
+    """What to ask the operator, best first; ranked anew when something changed. Where that is no
+    more than numbers, a second later will do.
+    """
     newest = site.newest_keyframes()
     if site.solution is None or not newest:
         return ()
-    now = (
-        site.solution,
+    parts = (
+        frozenset(site.solution.components),
         site.anchor,
-        site.counts.get("alignments", 0),
-        len(site.book.all()),
         sum(site.asking.in_vain.values()),
         tuple(newest.values()),
         tuple(pair for pair in site.pairs if _is_up_to_the_operator(site, *pair)),
     )
-    if site.asking.asked[0] != now:
-        site.asking.asked = (now, _ranked(site, newest))
-    return site.asking.asked[1]
+    numbers = site.solution, site.counts.get("alignments", 0), len(site.book.all())
+    asked = site.asking.asked
+    another = asked.parts != parts
+    if another or (asked.numbers != numbers and now_s >= asked.at_s + _RENEWED_S):
+        site.asking.asked = Asked(parts, numbers, now_s, _ranked(site, newest))
+    return site.asking.asked.questions
 
 
 def _ranked(site: Site, newest: dict[str, ViewName]) -> tuple[Question, ...]:
