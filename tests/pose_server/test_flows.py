@@ -245,3 +245,43 @@ def test_a_file_of_pairs_is_read_and_a_bad_line_named(tmp_path):
         read_pairs(file)
     with pytest.raises(FleetPoseError, match="cannot read"):
         read_pairs(tmp_path / "none")
+
+
+def test_a_view_with_nothing_new_is_read_once_and_one_with_another_camera_anew():
+    rng = np.random.default_rng(7)
+    first, other = (view(rng, "r1", walls(rng), descriptors(rng, 800), np.eye(4)) for _ in "ab")
+    before = kept(first)
+
+    def opened(message: View):
+        return open_view(pack(message), ENCODING, 3.0, {"r1": before}.get)
+
+    again = opened(first.model_copy(update={"name": named(1), "stamp_ns": first.stamp_ns + 5}))
+    assert again.signature is before.signature and stands_still(before, again)
+    assert (again.name, again.stamp_ns) == (named(1), first.stamp_ns + 5)
+    assert again.received_s == 3.0 and again.payload != before.payload
+    assert opened(other).signature is not before.signature
+    zoomed = first.camera.model_copy(update={"K": first.camera.K * [[1.1], [1.1], [1.0]]})
+    anew = opened(first.model_copy(update={"camera": zoomed}))
+    assert anew.signature is not before.signature and not stands_still(before, anew)
+
+
+def test_a_correspondence_that_was_moved_is_judged_again_though_no_pose_changed():
+    T_true = turned(15)
+    messages, points = scene_with_points_to_click(np.random.default_rng(4), T_true)
+    site = site_of(*messages)
+    work_off(site)
+    for n, point in enumerate(points, 1):
+        (outcome,) = pipeline.receive_update(site, click(n, point, T_true))
+        assert outcome.accepted, outcome.reason
+    work_off(site)
+    assert pipeline.judge_correspondences(site) == [("r1", "r2")]
+    assert pipeline.judge_correspondences(site) == []
+    moved = click(4, points[0], T_true).model_copy(
+        update={"action": "move", "correspondence": 0, "base_revision": 0}
+    )
+    moved = moved.model_copy(update={"pixel_j": moved.pixel_j + np.array([60.0, 0.0])})
+    (outcome,) = pipeline.receive_update(site, moved)
+    assert outcome.accepted, outcome.reason
+    assert pipeline.judge_correspondences(site) == [("r1", "r2")]
+    (first,) = (one.item for one in site.book.of("r1", "r2") if one.item.id == 0)
+    assert first.residual_px > 20.0
