@@ -200,7 +200,11 @@ class Observer:
         if len(names) > KEPT_VIEWS:
             del self._views_by_name[names.popleft()]
         self.view_sizes.append(size)
-        self._waiting.setdefault(view.name.robot, []).append((view.name, received_s))
+        last = self._poses.get(view.name.robot)
+        if last is not None and _covers(last.pose.view, view.name):
+            self.view_to_pose_s.append(0.0)  # poses have priority: its own overtook it
+        else:
+            self._waiting.setdefault(view.name.robot, []).append((view.name, received_s))
 
     def _on_pose(self, pose: RobotPose, received_s: float, _: int) -> None:
         last = self._poses.get(pose.robot)

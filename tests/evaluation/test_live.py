@@ -192,6 +192,13 @@ def test_a_pose_answers_its_view_and_all_older_ones(site, observer):
     assert all(0.0 < s < 5.0 for s in observer.view_to_pose_s)
 
 
+def test_a_view_that_its_own_pose_overtook_did_not_wait(site, observer):
+    site.put(KEYS.pose("a"), pose("a", 3, n=1))
+    assert wait_until(lambda: "a" in observer.poses(), 5)
+    site.show(observer, view("a", 3))
+    assert wait_until(lambda: observer.view_to_pose_s == [0.0], 5)
+
+
 def test_the_number_of_located_robots_is_noted_when_it_changes(site, observer):
     site.put(KEYS.pose("a"), pose("a", 0, n=1))
     site.put(KEYS.pose("b"), pose("b", 0, n=1, located=False))
