@@ -1,22 +1,21 @@
 """Between zenoh and the session: what arrives goes into the session, what was done goes out.
 
 Callbacks open what came and store it. Three threads work: one reads, one sends
-(`hmi_client.sender`), and one asks robots for views whose picture does not come by itself.
+(`hmi_client.sender`), and one asks for views (`hmi_client.fetcher`).
 """
 
 import logging
 import threading
-import time
 from collections.abc import Callable
 from typing import TypeVar
 
-from hmi_client.arrivals import Arrived, checked_picture, opened, picture_in
+from hmi_client.arrivals import Arrived, opened, picture_in
 from hmi_client.errors import PictureError
+from hmi_client.fetcher import Fetcher
 from hmi_client.model import Pair, Picture
 from hmi_client.sender import Sender
 from hmi_client.session import OperatorSession
 from protocol.base import Message
-from protocol.codec import unpack
 from protocol.drops import Drops
 from protocol.errors import CodecError, FleetPoseError, UnreachableError
 from protocol.keys import Keys
@@ -24,8 +23,6 @@ from protocol.messages import (
     Alignment,
     CameraAnnouncement,
     FleetState,
-    ImageHeader,
-    KeptView,
     PairCorrespondences,
     Receipts,
     RobotPose,
@@ -35,8 +32,6 @@ from protocol.messages import (
 from protocol.transport import Link, Sample, Slots
 
 log = logging.getLogger(__name__)
-PATIENCE_S = 0.6  # without a live picture for this long, the robot is asked for its newest view
-RETRY_S = 2.0
 MAX_KEPT = 20_000  # robots with cameras, pairs with alignments: names may be anybody's invention
 
 T = TypeVar("T")
@@ -148,7 +143,8 @@ class Client:
         sender = Sender(self.session, self.keys, link, self._arrived, self._recall_alignment)
         self._run("hmi read", self._read)
         self._run("hmi send", lambda: sender.run(self._stop))
-        self._run("hmi fetch", self._fetch)
+        fetcher = Fetcher(self.session, self.keys, link)
+        self._run("hmi fetch", lambda: fetcher.run(self._stop))
 
     # ---- reading ---------------------------------------------------------------------------------
 
@@ -214,32 +210,8 @@ class Client:
 
     # ---- asking for views ------------------------------------------------------------------------
 
-    def _fetch(self) -> None:
-        next_try: dict[str, float] = {}
-        while not self._stop.wait(0.1):
-            if self.session.pair is None or self.session.seconds_selected < PATIENCE_S:
-                continue
-            for robot in self.session.pair:
-                now = time.monotonic()
-                if self.session.picture(robot) is None and now > next_try.get(robot, 0.0):
-                    next_try[robot] = now + RETRY_S
-                    self._survive(
-                        self.keys.view(robot), lambda robot=robot: self._fetch_newest(robot)
-                    )
-
-    def _fetch_newest(self, robot: str) -> None:
-        """Asks for what the server has newest, so that one can pick in it at once."""
-        view = self.session.newest_view(robot)
-        if view is None:
-            return
-        try:
-            self.session.on_picture(self._readable(robot, lambda: self.fetch_picture(view)))
-        except UnreachableError as error:  # asked again soon; the screen says that it waits
-            log.info("%s", error)
-
     def fetch_picture(self, view: ViewName) -> Picture:
-        """Asks for the image of a view: its robot, or the server if it has been clicked in and the
-        robot has forgotten it.
+        """Asks for the image of a view; see `Fetcher.picture`.
 
         Raises:
             UnreachableError: nobody answers, or nobody has it any more.
@@ -247,21 +219,7 @@ class Client:
         """
         if self._link is None:
             raise UnreachableError("not connected to a router yet")
-        asked = f"seq={view.seq};epoch={view.epoch}"
-        try:
-            answer = self._link.query(f"{self.keys.view(view.robot)}?{asked}")
-        except UnreachableError as robot_error:
-            try:
-                answer = self._link.query(f"{self.keys.server_view}?robot={view.robot};{asked}")
-            except UnreachableError as error:
-                raise UnreachableError(f"{robot_error}; {error}") from error
-        kept = unpack(KeptView, answer.payload, answer.encoding)
-        if kept.jpeg is None or kept.view.name != view:
-            raise UnreachableError(f"{view.robot} has no image of its view {view.seq}")
-        header = kept.image or ImageHeader(view=view, stamp_ns=kept.view.stamp_ns)
-        if header.view != view:
-            raise PictureError(f"view '{view}' came with the image of '{header.view}'")
-        return checked_picture(header, kept.jpeg, kept.view.camera, self.session.clock())
+        return Fetcher(self.session, self.keys, self._link).picture(view)
 
     # ---- alignments ------------------------------------------------------------------------------
 

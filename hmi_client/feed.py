@@ -6,6 +6,7 @@ No screen, no network, and no clock but the one given.
 from collections.abc import Callable
 
 from hmi_client.changes import Changes
+from hmi_client.depths import Depths
 from hmi_client.errors import OperatorError
 from hmi_client.gallery import Gallery, Keeping
 from hmi_client.kept import KeptUpdates
@@ -55,6 +56,8 @@ class Feed(Changes):
         self._gallery = Gallery()
         self._unreadable: dict[str, str] = {}
         self._fleet_s: float | None = None
+        self._holding: tuple[ViewName, ViewName] | None = None
+        self._depths: dict[ViewName, Depths] = {}
 
     # ---- the fleet -------------------------------------------------------------------------------
 
@@ -133,6 +136,28 @@ class Feed(Changes):
         """Whether the server keeps the frozen view of a robot; empty: not frozen, or just asked."""
         with self._changed:
             return self._gallery.keeping(robot)
+
+    def frozen_views(self) -> tuple[ViewName, ...]:
+        """The views that are held still, of robot i and j."""
+        with self._changed:
+            views = (self._gallery.frozen_view(robot) for robot in self.pair or ())
+            return tuple(view for view in views if view is not None)
+
+    def depths(self, robot: str) -> Depths | None:
+        """Where the held picture of a robot has depth; none while that is not known."""
+        with self._changed:
+            view = self._gallery.frozen_view(robot)
+            return self._depths.get(view) if view is not None else None
+
+    def wanted_depths(self) -> tuple[ViewName, ...]:
+        """The held views of which it is not known where they have depth."""
+        return tuple(view for view in self.frozen_views() if view not in self._depths)
+
+    def wanted_pictures(self) -> tuple[ViewName, ...]:
+        """The views that are to be held as soon as their pictures are here."""
+        with self._changed:
+            views = self._holding or ()
+            return tuple(view for view in views if self._gallery.find(view) is None)
 
     # ---- correspondences -------------------------------------------------------------------------
 
@@ -235,6 +260,40 @@ class Feed(Changes):
             readable_again = self._unreadable.pop(picture.view.robot, None) is not None
             if self._gallery.put(picture, self.clock()) or readable_again:
                 self._bump("pictures", *(("selection",) if self.frozen else ()))
+
+    def on_fetched(self, picture: Picture) -> None:
+        """Takes the picture of a view that is to be held."""
+        with self._changed:
+            self._gallery.put_fetched(picture)
+            self._hold_when_there()
+
+    def on_not_fetched(self, view: ViewName, reason: str) -> None:
+        """A view that is to be held cannot be had."""
+        with self._changed:
+            if self._holding is not None and view in self._holding:
+                self._holding = None
+                self._say(f"the image of {view.robot} of then cannot be had: {reason}")
+                self._bump("selection", "pictures")
+
+    def on_depths(self, depths: Depths) -> None:
+        """Takes where a held picture has depth."""
+        with self._changed:
+            if depths.view in self.frozen_views():
+                self._depths = {
+                    view: known
+                    for view, known in self._depths.items()
+                    if view in self.frozen_views()
+                } | {depths.view: depths}
+                self._bump("depths")
+
+    def _hold_when_there(self) -> None:
+        """Holds the wanted views once both pictures are here."""
+        pictures = [self._gallery.find(view) for view in self._holding or ()]
+        there = [picture for picture in pictures if picture is not None]
+        if len(there) == 2:
+            self._holding = None
+            self._gallery.hold(there, self.clock())
+            self._bump("selection", "pictures")
 
     def on_unreadable(self, robot: str, reason: str, view: ViewName | None = None) -> None:
         """Notes that an image of a robot is none; `view` if it was taken for one before."""

@@ -4,7 +4,7 @@ A picture is offered once the server has its view: a click in another could not 
 pictures are held still, the server is asked to keep their views, and says which it does.
 """
 
-from collections.abc import Container, Mapping
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,6 +14,7 @@ from protocol.messages import ViewName
 STALE_S = 10.0  # a picture of an earlier selection is shown again only if it is younger
 KEEP_S = 3.0  # after this long the server should have said that it keeps a frozen view
 MAX_WAITING = 8
+MAX_FETCHED = 4
 
 Keeping = Literal["", "pinned", "not kept"]
 
@@ -46,6 +47,7 @@ class Gallery:
         self.held = False
         self._taken: dict[str, Picture] = {}
         self._waiting: dict[str, list[Picture]] = {}
+        self._fetched: dict[ViewName, Picture] = {}
         self._server: dict[str, ViewName] = {}
         self._frozen: dict[str, Frozen] | None = None
 
@@ -86,6 +88,13 @@ class Gallery:
             inner = range(1, MAX_WAITING)
             del waiting[min(inner, key=lambda k: seqs[k + 1] - seqs[k - 1])]
         return True
+
+    def put_fetched(self, picture: Picture) -> None:
+        """Takes the picture of a certain view, to be held."""
+        self._fetched.pop(picture.view, None)
+        self._fetched[picture.view] = picture
+        for view in list(self._fetched)[:-MAX_FETCHED]:
+            del self._fetched[view]
 
     def follow(
         self,
@@ -185,6 +194,17 @@ class Gallery:
             for robot, picture in pictures.items()
             if picture is not None
         }
+
+    def find(self, view: ViewName) -> Picture | None:
+        """The picture of a certain view, if it is here."""
+        frozen, taken = (self._frozen or {}).get(view.robot), self._taken.get(view.robot)
+        known = (frozen.picture if frozen else None, taken, self._fetched.get(view))
+        waiting = self._waiting.get(view.robot, ())
+        return next((p for p in (*known, *waiting) if p is not None and p.view == view), None)
+
+    def hold(self, pictures: Sequence[Picture], now_s: float) -> None:
+        """Holds certain pictures of the pair, in place of what was shown."""
+        self._frozen = {p.view.robot: Frozen(p, self.is_taken(p.view), now_s) for p in pictures}
 
     def thaw(self) -> None:
         self._frozen = None

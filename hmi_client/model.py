@@ -72,6 +72,7 @@ class Entry:
         residual_m: distance of the two points after alignment.
         residual_px: the same in image i.
         note: why it was rejected.
+        by: the other operator who made it; empty for one's own.
     """
 
     pick: Pick
@@ -80,6 +81,7 @@ class Entry:
     residual_m: float | None = None
     residual_px: float | None = None
     note: str = ""
+    by: str = ""
 
 
 def new_events(old: tuple[str, ...], new: tuple[str, ...]) -> tuple[str, ...]:

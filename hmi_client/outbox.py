@@ -11,7 +11,7 @@ from hmi_client.model import Pair, Pick
 from protocol.keys import new_epoch
 from protocol.messages import OperatorUpdate, Receipts
 
-Action = Literal["add", "erase", "clear"]
+Action = Literal["add", "move", "erase", "clear"]
 
 
 @dataclass(eq=False)
@@ -36,8 +36,13 @@ class Ticket:
     @property
     def pick(self) -> Pick | None:
         """The pick of an `add`, none for other actions."""
+        return self.place if self.update.action == "add" else None
+
+    @property
+    def place(self) -> Pick | None:
+        """The views and pixels of an `add` or a `move`."""
         u = self.update
-        if u.action != "add" or u.view_i is None or u.view_j is None:
+        if u.view_i is None or u.view_j is None:
             return None
         assert u.pixel_i is not None and u.pixel_j is not None  # the message's own rule
         (u_i, v_i), (u_j, v_j) = u.pixel_i, u.pixel_j

@@ -63,6 +63,7 @@ class OperatorSession(Feed):
             if pair == self.pair:
                 return
             self.pair, self.half, self.alignment = pair, None, None
+            self._holding = None
             self._selected_s = self.clock()
             self._unreadable.clear()
             self._gallery.show(pair, self._selected_s)
@@ -91,6 +92,7 @@ class OperatorSession(Feed):
         """
         with self._changed:
             gallery = self._gallery
+            self._holding = None
             if gallery.lost:
                 gallery.held, self.half = False, None
                 gallery.thaw()
@@ -101,6 +103,29 @@ class OperatorSession(Feed):
                 elif self.half is None:
                     gallery.thaw()
             self._bump("selection", "pictures")
+
+    def hold(self, view_i: ViewName, view_j: ViewName) -> bool:
+        """Shows certain views of the selected pair and holds them: at once, or as soon as their
+        pictures have been fetched; whether at once.
+        """
+        with self._changed:
+            if (view_i.robot, view_j.robot) != self.pair:
+                raise OperatorError(f"{view_i} and {view_j} are not of the selected pair")
+            self.half, self._holding = None, (view_i, view_j)
+            self._hold_when_there()
+            self._bump("selection", "pictures")
+            return self._holding is None
+
+    def release(self) -> None:
+        """Lets the pictures go on, unless they are held by `toggle_freeze`."""
+        with self._changed:
+            self._holding = None
+            self._release()
+
+    @property
+    def fetching(self) -> bool:
+        """Whether pictures that are to be held are on their way."""
+        return self._holding is not None
 
     # ---- correspondences -------------------------------------------------------------------------
 
@@ -172,6 +197,14 @@ class OperatorSession(Feed):
             OperatorError: the set has no such correspondence.
         """
         return self._do(lambda: self._book.erase(pair, id))
+
+    def move(self, pair: Pair, id: int, side: int, pixel: PixelUV) -> Ticket:
+        """Moves one pixel of a correspondence, in the image of robot i (side 0) or j.
+
+        Raises:
+            OperatorError: the set has no such correspondence, or it is on its way elsewhere.
+        """
+        return self._do(lambda: self._book.move(pair, id, side, pixel))
 
     def clear(self, pair: Pair) -> Ticket | None:
         """Erases all correspondences of a pair, own ones on their way included; none if it has

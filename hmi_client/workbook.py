@@ -4,8 +4,8 @@ The server's sets, own updates on their way, what was rejected, undo and redo.
 """
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Container
+from dataclasses import dataclass, field, replace
 
 from hmi_client.clearing import HeldClear
 from hmi_client.errors import OperatorError
@@ -17,10 +17,13 @@ from protocol.messages import Correspondence, PairCorrespondences, Receipts, Vie
 
 @dataclass(frozen=True)
 class Deed:
-    """One step that can be undone: the picks it added and those it removed."""
+    """One step that can be undone: the picks it added and those it removed; of one that was moved,
+    where it was and where it went.
+    """
 
     added: tuple[Pick, ...] = ()
     removed: tuple[Pick, ...] = ()
+    moved: tuple[Pick, Pick] | None = None
 
 
 @dataclass
@@ -40,6 +43,7 @@ class Workbook:
         self._settling: list[Ticket] = []  # accepted, but the set that shows it is still to come
         self._withdrawn: list[Pick] = []  # undone before it was named: erased once it is
         self._erasing: dict[Pair, dict[int, Ticket]] = {}
+        self._moving: dict[Pair, dict[int, Ticket]] = {}
         self._clears: list[HeldClear] = []
         self._rejected: dict[Pair, list[tuple[Pick, str]]] = {}
 
@@ -52,12 +56,18 @@ class Workbook:
         return self._post_add(pick)
 
     def erase(self, pair: Pair, id: int) -> Ticket:
-        known = next((c for c in self._items(pair) if c.id == id), None)
-        if known is None:
-            ids = ", ".join(str(c.id) for c in self._items(pair)) or "none"
-            raise OperatorError(f"{pair[0]}-{pair[1]} has no correspondence {id}; it has: {ids}")
+        known = self._known(pair, id)
         self._remember(Deed(removed=(Pick.made_by(known),)))
         return self._post_erase(pair, known)
+
+    def move(self, pair: Pair, id: int, side: int, pixel: PixelUV) -> Ticket:
+        known = self._known(pair, id)
+        if id in self._moving.get(pair, {}):
+            raise OperatorError(f"{id} is being moved already: wait for the server")
+        before = Pick.made_by(known)
+        after = replace(before, **{"pixel_j" if side else "pixel_i": pixel})
+        self._remember(Deed(moved=(before, after)))
+        return self._post_move(known, after)
 
     def clear(self, pair: Pair) -> Ticket | None:
         """Erases what the set holds and own picks on their way; it is held until these are final,
@@ -98,6 +108,12 @@ class Workbook:
         there = {c.id for c in known.items}
         erasing = self._erasing.get(pair, {})
         self._erasing[pair] = {id: ticket for id, ticket in erasing.items() if id in there}
+        revisions = {c.id: c.revision for c in known.items}
+        self._moving[pair] = {
+            id: ticket
+            for id, ticket in self._moving.get(pair, {}).items()
+            if revisions.get(id, -1) == ticket.update.base_revision
+        }
         for clear in self._clears:
             if clear.pair == pair:
                 self._erasing[pair].update(dict.fromkeys(clear.named(known), clear.ticket))
@@ -135,6 +151,7 @@ class Workbook:
             self._settle(ticket)
         self._settling.clear()
         self._erasing.clear()
+        self._moving.clear()
         for clear in self._clears:
             clear.seen = frozenset()
 
@@ -152,16 +169,8 @@ class Workbook:
         """The server's set in the order of its ids, then open picks, then rejected ones."""
         erasing = self._erasing.get(pair, {})
         known = self.sets.get(pair)
-        entries = [
-            Entry(
-                Pick.made_by(c),
-                "erasing" if c.id in erasing else c.status,
-                c.id,
-                c.residual_m,
-                c.residual_px,
-            )
-            for c in sorted(known.items if known else (), key=lambda c: c.id)
-        ]
+        items = sorted(known.items if known else (), key=lambda c: c.id)
+        entries = [self._entry(c, self._moving.get(pair, {}).get(c.id), erasing) for c in items]
         cleared = {ticket for clear in self._clears for ticket in clear.covers}
         for ticket in (*self._settling, *self.outbox.open):
             if ticket.pick and ticket.pick.pair == pair and not ticket.arrived:
@@ -171,6 +180,13 @@ class Workbook:
         return entries + [Entry(pick, "rejected", note=reason) for pick, reason in rejected]
 
     # ---- inside ----------------------------------------------------------------------------------
+
+    def _known(self, pair: Pair, id: int) -> Correspondence:
+        known = next((c for c in self._items(pair) if c.id == id), None)
+        if known is None:
+            ids = ", ".join(str(c.id) for c in self._items(pair)) or "none"
+            raise OperatorError(f"{pair[0]}-{pair[1]} has no correspondence {id}; it has: {ids}")
+        return known
 
     def _items(self, pair: Pair) -> tuple[Correspondence, ...]:
         """The pair's correspondences without those that are being erased."""
@@ -217,6 +233,28 @@ class Workbook:
             pixel_j=pick.pixel_j,
         )
 
+    def _entry(self, c: Correspondence, moving: Ticket | None, erasing: Container[int]) -> Entry:
+        by = "" if c.operator == self.operator else c.operator
+        if c.id in erasing:
+            return Entry(Pick.made_by(c), "erasing", c.id, by=by)
+        if moving is not None and moving.place is not None:
+            return Entry(moving.place, "pending", c.id, by=by)
+        return Entry(Pick.made_by(c), c.status, c.id, c.residual_m, c.residual_px, by=by)
+
+    def _post_move(self, known: Correspondence, after: Pick) -> Ticket:
+        ticket = self.outbox.post(
+            "move",
+            after.pair,
+            known.revision,
+            correspondence=known.id,
+            view_i=after.view_i,
+            view_j=after.view_j,
+            pixel_i=after.pixel_i,
+            pixel_j=after.pixel_j,
+        )
+        self._moving.setdefault(after.pair, {})[known.id] = ticket
+        return ticket
+
     def _post_erase(self, pair: Pair, known: Correspondence) -> Ticket:
         ticket = self.outbox.post("erase", pair, known.revision, correspondence=known.id)
         self._erasing.setdefault(pair, {})[known.id] = ticket
@@ -229,8 +267,14 @@ class Workbook:
     def _step(self, source: list[Deed], target: list[Deed], forward: bool) -> bool:
         if not source:
             return False
-        deed = source.pop()
-        target.append(deed)
+        deed = source[-1]
+        if deed.moved is not None:
+            before, after = deed.moved if forward else deed.moved[::-1]
+            known = self.find(before)
+            if known is None or known.id in self._moving.get(before.pair, {}):
+                return False  # the server is still to say that it was moved
+            self._post_move(known, after)
+        target.append(source.pop())
         added, removed = (deed.added, deed.removed) if forward else (deed.removed, deed.added)
         for pick in removed:
             self._withdraw(pick)
@@ -261,7 +305,13 @@ class Workbook:
     def _settle(self, ticket: Ticket) -> None:
         update, pick = ticket.update, ticket.pick
         pair = (update.i, update.j)
-        if pick is None:
+        if update.action == "move":
+            if ticket.reason is not None:
+                moving = self._moving.get(pair, {})
+                self._moving[pair] = {id: t for id, t in moving.items() if t is not ticket}
+                if ticket.place is not None:
+                    self._rejected.setdefault(pair, []).append((ticket.place, ticket.reason))
+        elif pick is None:
             if ticket.reason is not None:
                 erasing = self._erasing.get(pair, {})
                 self._erasing[pair] = {id: t for id, t in erasing.items() if t is not ticket}

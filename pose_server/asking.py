@@ -55,13 +55,16 @@ class Open:
 @dataclass(frozen=True)
 class Asked:
     """Questions, and from what they were ranked, when: the parts of the fleet and who is asked
-    about, and the numbers, which change with every solve.
+    about, and the numbers, which change with every solve. `shown` are the same with suggestions,
+    about views of now.
     """
 
     parts: object = None
     numbers: object = None
     at_s: float = float("-inf")
     questions: tuple[Question, ...] = ()
+    shown: tuple[Question, ...] | None = None
+    shown_s: float = float("-inf")
 
 
 @dataclass

@@ -15,7 +15,13 @@ from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.lift import NEIGHBOURS, LiftedPoint, lift_pixel
 from pose_server.pairs.views import point_noise
 from pose_server.views import KeptView
-from protocol.clouds import decode_scattered, depth_image, grid_to_pixel
+from protocol.clouds import (
+    CLICK_REACH_CELLS,
+    CLICK_REACH_PX,
+    decode_scattered,
+    depth_image,
+    grid_to_pixel,
+)
 from protocol.codec import unpack
 from protocol.errors import FleetPoseError
 from protocol.messages import DepthCloud, View, ViewName
@@ -24,7 +30,6 @@ Floats = npt.NDArray[np.floating]
 
 _CLOUDS = 8  # a megapixel each 4 MB
 _WINDOW = 32  # cells to each side of the click
-_GRID_RADIUS_CELLS, _SCATTERED_RADIUS_PX = 2.0, 6.0
 
 
 class NoDepthError(FleetPoseError):
@@ -40,7 +45,7 @@ class _Grid:
 
     @property
     def radius_px(self) -> float:
-        return _GRID_RADIUS_CELLS * self.scale
+        return CLICK_REACH_CELLS * self.scale
 
     def near(self, pixel: Floats) -> tuple[Floats, Floats]:
         """Pixels (N, 2) and depths (N,) of the cells around a pixel, or of all where there are too
@@ -67,7 +72,7 @@ class _Scattered:
 
     uv: Floats
     z: Floats
-    radius_px: float = _SCATTERED_RADIUS_PX
+    radius_px: float = CLICK_REACH_PX
 
     def near(self, pixel: Floats) -> tuple[Floats, Floats]:
         del pixel

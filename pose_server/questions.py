@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,14 +14,13 @@ from pose_server.fleet.questions import PairFacts, rank_questions
 from pose_server.geometry.se3 import inverse
 from pose_server.pairs.candidates import similarity
 from pose_server.site import PairRecord, RobotPair, Site, ViewPair
+from pose_server.suggestions import with_suggestions
 from protocol.keys import ordered_pair
-from protocol.messages import Question, Suggestion, ViewName
+from protocol.messages import Question, ViewName
 
 Floats = npt.NDArray[np.floating]
 
 _RENEWED_S = 1.0
-_WITH_SUGGESTIONS = 5  # questions, the first ones
-_MOST_SUGGESTIONS = 8
 # Chance that two views which look quite alike share enough to click, if no found pose is right
 _LIKE_UNTRIED, _LIKE_TRIED, _LEAST = 0.6, 0.15, 0.02
 _USUAL_LIKENESS = 0.5
@@ -44,8 +44,11 @@ def questions(site: Site, now_s: float = float("inf")) -> tuple[Question, ...]:
     asked = site.asking.asked
     another = asked.parts != parts
     if another or (asked.numbers != numbers and now_s >= asked.at_s + _RENEWED_S):
-        site.asking.asked = Asked(parts, numbers, now_s, _ranked(site, newest))
-    return site.asking.asked.questions
+        asked = site.asking.asked = Asked(parts, numbers, now_s, _ranked(site, newest))
+    if asked.shown is None or now_s >= asked.shown_s + _RENEWED_S:
+        asked = replace(asked, shown=with_suggestions(site, asked.questions), shown_s=now_s)
+        site.asking.asked = asked
+    return asked.shown or ()
 
 
 def _ranked(site: Site, newest: dict[str, ViewName]) -> tuple[Question, ...]:
@@ -57,30 +60,10 @@ def _ranked(site: Site, newest: dict[str, ViewName]) -> tuple[Question, ...]:
         for pair, chance in _chances(site, known).items()
         if _is_up_to_the_operator(site, *pair)
     ]
-    asked = rank_questions(
+    ranked = rank_questions(
         site.solution, newest, facts, depth_m, site.anchor, located_sigma=site.located_sigma
     )
-    return tuple(
-        _with_suggestions(site, question) if rank < _WITH_SUGGESTIONS else question
-        for rank, question in enumerate(asked)
-    )
-
-
-def _with_suggestions(site: Site, question: Question) -> Question:
-    """The question with the points that aligning its pair came by, about the views in which these
-    were found.
-    """
-    record = site.pairs.get((question.i, question.j))
-    if record is None or record.last is None or record.last_views is None:
-        return question
-    i, j = record.last_views
-    if record.last.suggested is None or i not in site.views or j not in site.views:
-        return question
-    suggestions = tuple(
-        Suggestion(pixel_i=row[:2], pixel_j=row[2:])
-        for row in record.last.suggested[:_MOST_SUGGESTIONS]
-    )
-    return question.model_copy(update={"view_i": i, "view_j": j, "suggestions": suggestions})
+    return tuple(ranked)
 
 
 def _is_up_to_the_operator(site: Site, a: str, b: str) -> bool:

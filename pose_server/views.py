@@ -123,6 +123,14 @@ def likeness(a: KeptView, b: KeptView) -> float:
     return float(np.clip((share - _CHANCE) / (_ALIKE - _CHANCE), 0.0, 1.0))
 
 
+def likely_matches(a: KeptView, b: KeptView) -> npt.NDArray[np.float32]:
+    """(M, 4) pixels of both views that look alike, u_a v_a u_b v_b, without a thought of geometry;
+    the strongest points first.
+    """
+    matches = _clear_matches(a, b, _LIKE_RATIO)
+    return np.column_stack((a.signature_uv[matches[:, 0]], b.signature_uv[matches[:, 1]]))
+
+
 def same_camera(a: Camera, b: Camera) -> bool:
     """Whether two views were taken with one calibration."""
     return (

@@ -19,6 +19,10 @@ from protocol.messages import Camera, DepthCloud, Salient, ScatteredCloud, View
 Floats = npt.NDArray[np.float64]
 MAX_CLOUD_PIXELS = 4_200_000  # more make a server work for seconds, and compress to almost nothing
 NEAREST_M, FURTHEST_M = 1e-4, 1e5  # what is beyond is no measurement, and squares badly
+CLICK_REACH_CELLS, CLICK_REACH_PX = 2.0, 6.0
+"""How far from a point with depth a click may be: cells of a depth image, pixels among scattered
+points.
+"""
 
 
 @dataclass(frozen=True)

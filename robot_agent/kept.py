@@ -45,13 +45,15 @@ class KeptViews:
             self._views.append(kept)
 
     def answer(self, parameters: dict[str, str]) -> Answer:
-        """What `view?seq=;epoch=;salient=` replies: the newest view without a number; with
-        `salient=wide` its wide set of salient points.
+        """What `view?seq=;epoch=;salient=;image=` replies: the newest view without a number; with
+        `salient=wide` its wide set of salient points; with `image=no` no image.
         """
         find = self.find_wide if parameters.get("salient") == "wide" else self.find
         found = find(parameters.get("seq"), parameters.get("epoch"))
         if isinstance(found, str):
             return Answer(error=found)
+        if parameters.get("image") == "no":
+            found = found.model_copy(update={"jpeg": None, "image": None})
         return Answer(pack(found), encoding_of(KeptView))
 
     def find_wide(self, seq: str | None, epoch: str | None) -> KeptView | str:

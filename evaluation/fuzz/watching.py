@@ -9,9 +9,9 @@ import sys
 import time
 
 from hmi_client.connection import Connection
+from hmi_client.decoding import decoded
 from hmi_client.errors import PictureError
 from hmi_client.reports import Watcher
-from hmi_client.text.image_panel import decoded
 
 
 def main(endpoint: str, site: str, operator: str, a: str, b: str) -> None:

@@ -4,16 +4,14 @@ import math
 from dataclasses import dataclass
 from textwrap import wrap
 
-import cv2
-import numpy as np
 from rich.segment import Segment
 from textual import events
 from textual.binding import Binding
 from textual.message import Message
 from textual.strip import Strip
 
+from hmi_client.decoding import decoded
 from hmi_client.errors import OperatorError, PictureError
-from hmi_client.jpeg import frame_of
 from hmi_client.model import Entry, Picture, PixelUV
 from hmi_client.session import OperatorSession
 from hmi_client.text.cells import MARKER_COLOURS, HalfBlocks, Image, Window, sample, style
@@ -303,23 +301,6 @@ class ImagePanel(Panel):
     def on_mouse_scroll_down(self, event: events.MouseScrollDown) -> None:
         event.stop()
         self.action_zoom(1 / 1.5)
-
-
-def decoded(picture: Picture) -> Image:
-    """The picture as (H, W, 3) BGR, in the sensor's own orientation.
-
-    Raises:
-        PictureError: it is no image that can be shown; nothing large was allocated for it.
-    """
-    frame = frame_of(picture.jpeg)
-    how = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-    try:
-        image = cv2.imdecode(np.frombuffer(picture.jpeg, np.uint8), how)
-    except cv2.error as error:
-        raise PictureError("its pixels are damaged") from error
-    if image is None or image.shape[:2] != (frame.height, frame.width):
-        raise PictureError("its pixels are damaged")
-    return np.asarray(image, np.uint8)
 
 
 def marker_colour(number: int) -> str:

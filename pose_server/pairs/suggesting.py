@@ -26,7 +26,8 @@ def suggested(pair: Pair, T_i_j: Floats | None) -> Floats:
     matches = np.concatenate((matches[agrees], matches[~agrees]))
     uv_i = pair.i.observed.uv[matches[:, 0]]
     uv_j = pair.j.observed.uv[matches[:, 1]]
-    chosen = _apart(uv_i, uv_j, _APART * min(pair.i.observed.size[1], pair.j.observed.size[1]))
+    height = min(pair.i.observed.size[1], pair.j.observed.size[1])
+    chosen = apart_in_both(uv_i, uv_j, height)
     return np.column_stack((uv_i[chosen], uv_j[chosen]))
 
 
@@ -39,8 +40,11 @@ def _agreeing(pair: Pair, matches: Indices, T_i_j: Floats | None) -> npt.NDArray
         return np.zeros(len(matches), bool)
 
 
-def _apart(uv_i: Floats, uv_j: Floats, least_px: float) -> list[int]:
-    """The first pixels that are far from all chosen before them, in both views."""
+def apart_in_both(uv_i: Floats, uv_j: Floats, height_px: float) -> list[int]:
+    """The first pixels (N, 2) that are far from all chosen before them in both views, for images of
+    that height; 12 at most.
+    """
+    least_px = _APART * height_px
     chosen: list[int] = []
     for k in range(len(uv_i)):
         near = min(

@@ -6,8 +6,8 @@ import pytest
 from hmi_fakes import CAMERA, view, wait_for
 from hmi_server import Journal
 
+from hmi_client.decoding import decoded
 from hmi_client.session import OperatorSession
-from hmi_client.text.image_panel import decoded
 from protocol.codec import pack
 from protocol.drops import MAX_REASONS, OTHER, Drops
 from protocol.errors import UnreachableError

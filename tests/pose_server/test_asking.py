@@ -1,5 +1,7 @@
 """What became of questions: looks in vain, clicks and what they did, points to confirm."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -147,7 +149,27 @@ def test_points_to_confirm_come_with_the_views_that_were_aligned(scene):
 
 def test_questions_are_ranked_anew_only_when_something_changed(scene):
     site, points = scene
-    first = questions(site)
-    assert questions(site) is first
+    questions(site)
+    first = site.asking.asked.questions
+    questions(site)
+    assert site.asking.asked.questions is first
     click(site, 1, points[0])
-    assert questions(site) is not first
+    questions(site)
+    assert site.asking.asked.questions is not first
+
+
+def test_what_looks_alike_is_suggested_for_a_pair_that_was_never_tried(scene):
+    site, _ = scene
+    assert site.pair("r1", "r2").last is None
+    (question,) = questions(site)
+    assert len(question.suggestions) > 2
+
+
+def test_suggestions_are_about_the_newest_view_of_a_robot_that_stands_still(scene):
+    site, _ = scene
+    (before,) = questions(site)
+    old = site.views[before.view_i]
+    name = old.name.model_copy(update={"seq": old.name.seq + 5})
+    pipeline.receive_view(site, replace(old, name=name))
+    (after,) = questions(site)
+    assert (after.view_i, after.view_j) == (name, before.view_j)
