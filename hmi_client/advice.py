@@ -3,10 +3,11 @@
 import math
 
 from hmi_client.matrix import length_text
+from hmi_client.proposals import Proposals
 from hmi_client.session import OperatorSession
 
 
-def next_step(session: OperatorSession) -> str:
+def next_step(session: OperatorSession, proposals: Proposals) -> str:
     """The one thing to do now."""
     if session.silent:
         if math.isinf(session.silence_s):
@@ -28,10 +29,24 @@ def next_step(session: OperatorSession) -> str:
     lost = [robot for robot in (i, j) if session.keeping(robot) == "not kept"]
     if lost:
         return f"The server does not keep this view of {' and '.join(lost)}: f thaws, pick anew"
+    if proposals.waiting:
+        return "Fetching the two images of the suggestion ..."
+    proposal = proposals.current
+    if proposal is not None:
+        return (
+            f"Suggestion {proposal.number} of {proposal.of}: do both crosses show the same point? "
+            "Tab yes, Shift-Tab no, arrows correct, c leaves"
+        )
     if session.half is not None:
         done, other = (i, j) if session.half.side == 0 else (j, i)
         return f"Point picked in {done}: now pick the same point in {other} (c cancels)"
-    return f"Pick the same point in {i} and in {j}: arrows (Shift: 10 px), Space picks"
+    question = session.question()
+    asked = question is not None and (question.i, question.j) == session.pair
+    if question is not None and asked and question.suggestions:
+        return (
+            f"Same point in {i} and {j}? Tab shows suggestions; or g, arrows, s snaps, Space picks"
+        )
+    return f"Pick the same point in {i} and in {j}: g or arrows go, s snaps, Space picks"
 
 
 def reason(session: OperatorSession) -> str:

@@ -94,6 +94,11 @@ class Depths:
             return None
         return nearest.z * (np.linalg.inv(self.camera.K) @ (*pixel, 1.0))
 
+    def within(self, u: float, v: float, du: float, dv: float) -> list[PixelUV]:
+        """The scattered points around a pixel."""
+        near = (np.abs(self.uv - (u, v)) <= (du, dv)).all(axis=1)
+        return [(a, b) for a, b in self.uv[near].tolist()]
+
     def depth_range(self) -> tuple[float, float]:
         """What most depths lie between, metres."""
         z = self.z[np.isfinite(self.z)]

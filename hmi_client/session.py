@@ -116,6 +116,17 @@ class OperatorSession(Feed):
             self._bump("selection", "pictures")
             return self._holding is None
 
+    def hold_still(self, seen: Picture | None = None) -> None:
+        """Holds both pictures until the next pick is complete or cancelled.
+
+        Args:
+            seen: the picture that the operator has before the eyes; default: the newest one.
+        """
+        with self._changed:
+            if self.pair is not None and not self.frozen:
+                self._gallery.freeze(self.clock(), seen, self.silent)
+                self._bump("selection", "pictures")
+
     def release(self) -> None:
         """Lets the pictures go on, unless they are held by `toggle_freeze`."""
         with self._changed:
@@ -176,12 +187,17 @@ class OperatorSession(Feed):
         return picture
 
     def cancel(self) -> bool:
-        """Drops a half pick and dismisses rejections; whether there was anything to cancel."""
+        """Drops a half pick, lets the pictures go on and dismisses rejections; whether there was
+        anything to cancel.
+        """
         with self._changed:
             dismissed = self.pair is not None and self._book.dismiss(self.pair)
             if self.half is None:
+                loose = self.frozen and not self._gallery.held
+                if loose or self._holding is not None:
+                    self.release()
                 self._bump("correspondences")
-                return dismissed
+                return dismissed or loose
             self.half = None
             self._release()
             return True

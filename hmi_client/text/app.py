@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from textual.app import App, ComposeResult
 from textual.binding import Binding
@@ -9,7 +10,10 @@ from textual.containers import Container, Horizontal, Vertical
 from textual.widgets import Footer
 
 from hmi_client.errors import OperatorError
+from hmi_client.guide import Expected, Guide
+from hmi_client.proposals import Proposal, Proposals
 from hmi_client.session import OperatorSession
+from hmi_client.text import palette
 from hmi_client.text.image_panel import ImagePanel
 from hmi_client.text.list_panel import ListPanel
 from hmi_client.text.look import CSS
@@ -35,17 +39,21 @@ class FleetApp(App[None]):
     ENABLE_COMMAND_PALETTE = False
     TITLE = "fleetpose"
     BINDINGS = [  # noqa: RUF012, as Textual declares it
-        Binding("n", "question(1)", "Next"),
-        Binding("p", "question(-1)", "Prev"),
-        Binding("u", "undo", "Undo"),
-        Binding("r", "redo", "Redo"),
-        Binding("x", "erase", "Erase"),
-        Binding("c,escape", "cancel", "Cancel"),
-        Binding("f", "freeze", "Freeze"),
-        Binding("m", "maximise", "Max"),
-        Binding("q", "quit", "Quit"),
-        Binding("left_square_bracket", "threshold(-1)", "Hide"),
-        Binding("right_square_bracket", "threshold(1)", "Show"),
+        Binding("n", "question(1)", "Next", id="next"),
+        Binding("p", "question(-1)", "Prev", id="previous"),
+        Binding("u", "undo", "Undo", id="undo"),
+        Binding("r", "redo", "Redo", id="redo"),
+        Binding("x", "erase", "Erase", id="erase"),
+        Binding("c,escape", "cancel", "Cancel", id="cancel"),
+        Binding("f", "freeze", "Freeze", id="freeze"),
+        Binding("m", "maximise", "Max", id="maximise"),
+        Binding("q", "quit", "Quit", id="quit"),
+        Binding("left_square_bracket", "threshold(-1)", "Hide", id="hide-more"),
+        Binding("right_square_bracket", "threshold(1)", "Show", id="show-more"),
+        *(
+            Binding(str(n), f"panel({n})", show=False, id=f"panel-{name}")
+            for n, name in enumerate(("map", "matrix", "list", "left", "right"), start=1)
+        ),
         Binding("ctrl+c", "quit", show=False, priority=True),
     ]
 
@@ -61,12 +69,20 @@ class FleetApp(App[None]):
         self._failure = failure
         self._seen: dict[str, int] = {}
         self._late: dict[PanelMixin, float] = {}
+        self.guide = Guide(session)
+        self.proposals = Proposals(session, self.guide)
+        self._proposed: Proposal | None = None
+        self._expected: Expected | None = None
         self.map = MapPanel(session)
         self.matrix = MatrixPanel(session)
         self.list = ListPanel(session)
-        self.images = (ImagePanel(session, 0), ImagePanel(session, 1))
-        self.status = StatusPanel(session)
+        self.images = (ImagePanel(session, self.guide, 0), ImagePanel(session, self.guide, 1))
+        self.status = StatusPanel(session, self.proposals)
         self.panels: tuple[PanelMixin, ...] = (self.map, self.matrix, self.list, *self.images)
+
+    def get_css_variables(self) -> dict[str, str]:
+        """Textual's own, and the colours of the theme in use."""
+        return super().get_css_variables() | palette.variables()
 
     def compose(self) -> ComposeResult:
         with Horizontal(id="body"):
@@ -91,6 +107,9 @@ class FleetApp(App[None]):
         now, revisions = time.monotonic(), self.session.revisions()
         changed = {topic for topic, n in revisions.items() if n != self._seen.get(topic, 0)}
         self._seen = revisions
+        self._follow_proposals()
+        if "depths" in changed:
+            self._expect(again=True)
         with self.batch_update():
             for panel in self.panels:
                 concerned = changed.intersection(panel.TOPICS)
@@ -117,14 +136,64 @@ class FleetApp(App[None]):
         self.tick()
 
     def on_image_panel_picked(self, picked: ImagePanel.Picked) -> None:
-        """After the first half the other image is next, after the second the first one again."""
+        """After the first half the other image is next, the cursor where the point is expected;
+        after the second the first one again.
+        """
         self.images[0 if picked.complete else 1 - picked.side].focus()
+        self._expect()
         self.tick()
+
+    def _expect(self, again: bool = False) -> None:
+        """Puts the other image's cursor where the point is expected; `again`, once more is known,
+        only where the operator has not moved it since.
+        """
+        before = self._expected
+        if again and (before is None or self.images[before.side].cursor != before.pixel):
+            return
+        self._expected = expected = self.guide.expected()
+        for panel in self.images:
+            panel.expected = expected
+        if expected is not None:
+            self.images[expected.side].move_to(*expected.pixel)
+            here = self.images[expected.side].cursor  # inside the image, whatever was expected
+            self._expected = replace(expected, pixel=here)
+
+    # ---- suggestions -----------------------------------------------------------------------------
+
+    def on_image_panel_suggestion(self, wanted: ImagePanel.Suggestion) -> None:
+        """Tab accepts the suggestion on the screen, Shift-Tab skips it; the first begins."""
+        try:
+            if self.proposals.current is not None and wanted.step > 0:
+                self.proposals.accept(self.images[0].cursor, self.images[1].cursor)
+            elif self.proposals.current is not None:
+                self.proposals.skip()
+            elif not self.proposals.waiting:
+                self.proposals.begin()
+        except OperatorError as error:
+            self.notify(str(error), severity="warning", timeout=4)
+        self.tick()
+
+    def _follow_proposals(self) -> None:
+        """Shows a suggestion by the cursors, once its pictures are there."""
+        self.proposals.follow()
+        proposal = self.proposals.current
+        if proposal == self._proposed:
+            return
+        self._proposed = proposal
+        if proposal is not None:
+            pixels = (proposal.pixel_i, proposal.pixel_j)
+            for panel, pixel in zip(self.images, pixels, strict=True):
+                panel.repaint()  # the picture may be another one
+                panel.move_to(*pixel)
 
     def on_list_panel_shown(self, shown: ListPanel.Shown) -> None:
         pick = shown.entry.pick
         for panel, pixel in zip(self.images, (pick.pixel_i, pick.pixel_j), strict=True):
             panel.move_to(*pixel)
+
+    def action_panel(self, number: int) -> None:
+        """The keys go to a panel: map, matrix, list, or one of the two images."""
+        (self.map, self.matrix, self.list, *self.images)[number - 1].focus()
 
     def action_undo(self) -> None:
         self.session.undo()
@@ -135,6 +204,7 @@ class FleetApp(App[None]):
         self.tick()
 
     def action_cancel(self) -> None:
+        self.proposals.end()
         self.session.cancel()
         self.tick()
 

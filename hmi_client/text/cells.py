@@ -15,10 +15,12 @@ from rich.segment import Segment
 from rich.style import Style
 from textual.strip import Strip
 
+from hmi_client.text.palette import style, theme
+
 Image = npt.NDArray[np.uint8]
-BACKGROUND = "#10141a"
 OUTSIDE_BGR = (30, 24, 20)  # beyond the edge of an image
 COLOUR_BITS = 0xF8F8F8
+_GREYS = " .:-=+*#%@"
 # The palette of Okabe and Ito is told apart by colour-blind people; the numbers say the same.
 MARKER_COLOURS = (
     *("#e69f00", "#56b4e9", "#009e73", "#f0e442"),
@@ -31,12 +33,6 @@ _BRAILLE_BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]
 def pair_style(foreground: int, background: int) -> Style:
     """The style of two 24-bit colours 0xRRGGBB."""
     return Style.from_color(_color(foreground), _color(background))
-
-
-@lru_cache(maxsize=4096)
-def style(colour: str, background: str = BACKGROUND, bold: bool = False) -> Style:
-    """A style with an explicit background."""
-    return Style(color=colour, bgcolor=background, bold=bold)
 
 
 def _color(rgb: int) -> Color:
@@ -129,14 +125,28 @@ class HalfBlocks:
                 self._over.setdefault(row, {})[x] = (character, style(colour, behind, True))
 
     def strips(self) -> list[Strip]:
-        """One strip per row of cells."""
+        """One strip per row of cells; without colours in a scale of characters."""
         columns, _ = self.size
+        if theme() == "mono":
+            return self._without_colours()
         return [
             Strip(self._row(top, bottom, self._over.get(row)), columns)
             for row, (top, bottom) in enumerate(
                 zip(self.top.tolist(), self.bottom.tolist(), strict=True)
             )
         ]
+
+    def _without_colours(self) -> list[Strip]:
+        both = np.stack((self.top, self.bottom))
+        grey = (both >> 16 & 255) * 0.3 + (both >> 8 & 255) * 0.59 + (both & 255) * 0.11
+        steps = (grey.mean(axis=0) / 256 * len(_GREYS)).astype(int)
+        rows = []
+        for row, line in enumerate(steps.tolist()):
+            over = self._over.get(row, {})
+            plain = [over.get(x, (_GREYS[step], style())) for x, step in enumerate(line)]
+            text, styles = [t for t, _ in plain], [s for _, s in plain]
+            rows.append(Strip(_runs(text, styles), len(line)))
+        return rows
 
     @staticmethod
     def _row(
@@ -167,7 +177,7 @@ class Canvas:
     def __init__(self, columns: int, rows: int) -> None:
         self.columns, self.rows = columns, rows
         self._dots = np.zeros((4 * rows, 2 * columns), np.bool_)
-        self._blank = style("#c8d0d8")
+        self._blank = style("text")
         self._text = [[" "] * columns for _ in range(rows)]
         self._styles = [[self._blank] * columns for _ in range(rows)]
 

@@ -1,7 +1,7 @@
 """The right panel: one image of the selected pair, a cursor in image pixels and a loupe."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 from textwrap import wrap
 
 from rich.segment import Segment
@@ -12,70 +12,32 @@ from textual.strip import Strip
 
 from hmi_client.decoding import decoded
 from hmi_client.errors import OperatorError, PictureError
+from hmi_client.guide import Expected, Guide
 from hmi_client.model import Entry, Picture, PixelUV
 from hmi_client.session import OperatorSession
-from hmi_client.text.cells import MARKER_COLOURS, HalfBlocks, Image, Window, sample, style
+from hmi_client.text.arrangement import Arrangement, arrange, fit
+from hmi_client.text.cells import HalfBlocks, Image, Window, sample
+from hmi_client.text.hints import LETTERS, MOST, Hints
+from hmi_client.text.overlay import Overlay
+from hmi_client.text.palette import style
 from hmi_client.text.panel import Panel
 from protocol.messages import ViewName
-
-MIN_LOUPE = (11, 5)  # columns, rows; below that it shows too little to aim by
-MAX_LOUPE = (33, 17)
-CROSS_RGB, FAINT_RGB = 0xFF3030, 0x808080
-RESTING = style("#8a97a6")
-
-
-@dataclass(frozen=True)
-class Arrangement:
-    """Where image and loupe stand in a panel, in cells; the image begins at the top left."""
-
-    columns: int
-    rows: int
-    loupe: tuple[int, int, int, int] | None
-    """Column, row, columns, rows."""
-
-
-def arrange(columns: int, rows: int, aspect: float) -> Arrangement:
-    """Puts the loupe under or beside the image, where it costs the image less.
-
-    Args:
-        columns, rows: of the panel.
-        aspect: width / height of the image.
-    """
-    beside = min(max(columns - 1 - round(2 * rows * aspect), MIN_LOUPE[0]), MAX_LOUPE[0])
-    under = min(max(rows - round(columns / aspect / 2), MIN_LOUPE[1]), MAX_LOUPE[1])
-    left, top = columns - 1 - beside, rows - under
-    if min(left, 2 * rows * aspect) >= min(columns, 2 * top * aspect) and left >= MIN_LOUPE[0]:
-        return Arrangement(left, rows, (left + 1, 0, beside, rows))
-    if top >= MIN_LOUPE[1]:
-        return Arrangement(columns, top, (0, top, columns, under))
-    return Arrangement(columns, rows, None)
-
-
-def fit(
-    arrangement: Arrangement, size: tuple[float, float], zoom: float, centre: PixelUV
-) -> Window:
-    """What is shown of an image (width, height in px): around the centre, not beyond it."""
-    columns, rows = arrangement.columns, arrangement.rows
-    px = max(size[0] / columns, size[1] / (2 * rows)) / zoom
-    extents = (columns * px, 2 * rows * px)
-    corner = [
-        (full - extent) / 2
-        if extent >= full
-        else min(max(middle + 0.5 - extent / 2, 0.0), full - extent)
-        for full, extent, middle in zip(size, extents, centre, strict=True)
-    ]
-    return Window(corner[0], corner[1], px, columns, rows)
 
 
 class ImagePanel(Panel):
     """The picture of robot i (side 0) or j (side 1) of the selected pair."""
 
-    TOPICS = ("pictures", "selection", "correspondences")
+    TOPICS = ("pictures", "selection", "correspondences", "depths")
     BINDINGS = [  # noqa: RUF012, as Textual declares it
-        Binding("space,enter", "pick", "Pick"),
-        Binding("plus,equals_sign", "zoom(1.5)", "Zoom"),
-        Binding("minus", "zoom(0.6667)", "out", show=False),
-        Binding("0", "fit", "Fit"),
+        Binding("space,enter", "pick", "Pick", id="pick"),
+        Binding("g", "hint", "Go to", id="go"),
+        Binding("s", "snap", "Snap", id="snap"),
+        Binding("tab", "suggestion(1)", "Suggested", id="accept"),
+        Binding("shift+tab", "suggestion(-1)", "Skip", id="skip", show=False),
+        Binding("v", "move_point", "Move", id="move", show=False),
+        Binding("plus,equals_sign", "zoom(1.5)", "Zoom", id="zoom-in", show=False),
+        Binding("minus", "zoom(0.6667)", "out", id="zoom-out", show=False),
+        Binding("0", "fit", "Fit", id="fit", show=False),
         Binding("up", "move(0,-1)", show=False),
         Binding("down", "move(0,1)", show=False),
         Binding("left", "move(-1,0)", show=False),
@@ -93,10 +55,22 @@ class ImagePanel(Panel):
             super().__init__()
             self.side, self.complete = side, complete
 
-    def __init__(self, session: OperatorSession, side: int) -> None:
+    class Suggestion(Message):
+        """The suggestion that is shown was accepted (step 1) or is to be skipped (-1); without one
+        the first is wanted.
+        """
+
+        def __init__(self, step: int) -> None:
+            super().__init__()
+            self.step = step
+
+    def __init__(self, session: OperatorSession, guide: Guide, side: int) -> None:
         super().__init__(id=f"image{side}", classes="image")
         self.session = session
+        self.guide = guide
         self.side = side
+        self.expected: Expected | None = None
+        self.hints: Hints | None = None
         self.cursor: PixelUV = (0.0, 0.0)
         self.zoom = 1.0
         self._robot: str | None = None
@@ -154,18 +128,18 @@ class ImagePanel(Panel):
         width, height = self.image_size
         place = self._arrangement = arrange(columns, rows, width / height)
         self._window = fit(place, self.image_size, self.zoom, self._centre)
+        over = self._overlay()
         picture = HalfBlocks(sample(self._image, self._window, self._scale))
-        self._draw_markers(picture, self._window)
-        self._draw_cursor(picture, self._window)
+        over.draw(picture, self._window)
         lines = picture.strips()
         if place.loupe is None:
             self._loupe = None
             return lines
         left, _, loupe_columns, loupe_rows = place.loupe
-        loupe = self._paint_loupe(loupe_columns, loupe_rows)
+        loupe = self._paint_loupe(over, loupe_columns, loupe_rows)
         if left == 0:
             return lines + loupe
-        gap = Strip.blank(1, RESTING)
+        gap = Strip.blank(1, style("dim"))
         return [Strip.join([a, gap, b]) for a, b in zip(lines, loupe, strict=True)]
 
     def _titles(self) -> None:
@@ -176,7 +150,16 @@ class ImagePanel(Panel):
         u, v = self.cursor
         place = f"{u:.0f}, {v:.0f} px" + (f"  x{self.zoom:.1f}" if self.zoom > 1 else "")
         notice = self.session.picture_notice(self._robot) if self._robot else ""
-        self.subtitle(notice or place if self._image is not None else "")
+        self.subtitle(notice or place + self._depth_note() if self._image is not None else "")
+
+    def _depth_note(self) -> str:
+        """What is known of the depth under the cursor."""
+        depths = self.session.depths(self._robot) if self._robot else None
+        nearest = depths.nearest(self.cursor) if depths is not None else None
+        if depths is None or (nearest is not None and nearest.distance_px <= depths.reach_px):
+            return "" if nearest is None else f"  {nearest.z:.2f} m"
+        far = "none near" if nearest is None else f"{nearest.distance_px:.0f} px away"
+        return f"  no depth: {far}"
 
     def _waiting(self, columns: int, rows: int) -> list[Strip]:
         """Why there is no image, over as many lines as it takes."""
@@ -185,63 +168,42 @@ class ImagePanel(Panel):
             text = self.session.picture_notice(self._robot)
             text = text or f"waiting for the image of {self._robot}"
         said = wrap(text, columns)[:rows]
-        lines = [Strip.blank(columns, RESTING)] * rows
+        lines = [Strip.blank(columns, style("dim"))] * rows
         for row, line in enumerate(said, start=(rows - len(said)) // 2):
-            lines[row] = Strip([Segment(line.center(columns), RESTING)], columns)
+            lines[row] = Strip([Segment(line.center(columns), style("dim"))], columns)
         return lines
 
-    def _markers(self) -> list[tuple[int, PixelUV, Entry]]:
-        """Number, pixel in this image, and list entry."""
-        return [
-            (number, entry.pick.pixel_j if self.side else entry.pick.pixel_i, entry)
-            for number, entry in enumerate(self.session.entries(), start=1)
-        ]
+    def _overlay(self) -> Overlay:
+        half = self.session.half
+        expected = self.expected if half is not None and half.side != self.side else None
+        return Overlay(
+            view=self._view,
+            side=self.side,
+            cursor=self.cursor,
+            focused=self.has_focus,
+            entries=self.session.entries(),
+            half=half.pixel if half is not None and half.side == self.side else None,
+            expected=expected,
+            hints=self.hints,
+        )
 
     def nearest(self) -> Entry | None:
         """The confirmed correspondence whose marker is nearest to the cursor."""
-        named = [(pixel, entry) for _, pixel, entry in self._markers() if entry.id is not None]
+        named = [(p, entry) for _, p, entry in self._overlay().markers() if entry.id is not None]
         if not named:
             return None
         return min(named, key=lambda item: math.dist(item[0], self.cursor))[1]
 
-    def _draw_markers(self, picture: HalfBlocks, window: Window) -> None:
-        for number, (u, v), entry in self._markers():
-            column, half_row = window.half_cell(u, v)
-            colour = marker_colour(number)
-            view = entry.pick.view_j if self.side else entry.pick.view_i
-            if entry.status in ("rejected", "erasing"):
-                picture.text(column, half_row // 2, "x", "#ff5050")
-            elif view == self._view:
-                picture.text(column, half_row // 2, str(number), "#000000", colour)
-            else:  # clicked at another moment: where it was then
-                picture.text(column, half_row // 2, str(number), colour)
-        half = self.session.half
-        if half is not None and half.side == self.side:
-            column, half_row = window.half_cell(*half.pixel)
-            picture.text(column, half_row // 2, "◆", "#000000", "#ffffff")
-
-    def _draw_cursor(self, picture: HalfBlocks, window: Window) -> None:
-        column, half_row = window.half_cell(*self.cursor)
-        colour = CROSS_RGB if self.has_focus else FAINT_RGB
-        reach = 5 if window.rows >= 14 else 4
-        for step in (*range(1 - reach, -1), *range(2, reach)):
-            picture.dot(column + step, half_row, colour)
-            picture.dot(column, half_row + step, colour)
-
-    def _paint_loupe(self, columns: int, rows: int) -> list[Strip]:
+    def _paint_loupe(self, over: Overlay, columns: int, rows: int) -> list[Strip]:
         """One full-resolution pixel per half cell, the cursor in the middle."""
         assert self._image is not None
         u, v = (round(x) for x in self.cursor)
         self._loupe = Window(u - columns // 2, v - rows, 1.0, columns, rows)
         loupe = HalfBlocks(sample(self._image, self._loupe, self._scale))
-        for number, (mu, mv), _ in self._markers():
-            column, half_row = self._loupe.half_cell(mu, mv)
-            loupe.dot(column, half_row, int(marker_colour(number)[1:], 16))
-            loupe.text(column + 1, (half_row - 1) // 2, str(number), marker_colour(number))
-        half = self.session.half
-        if half is not None and half.side == self.side:
-            loupe.dot(*self._loupe.half_cell(*half.pixel), 0xFFFFFF)
-        self._draw_cursor(loupe, self._loupe)
+        depths = self.session.depths(self._robot) if self._robot else None
+        if depths is not None and depths.scattered:
+            over = replace(over, depth=depths.within(u, v, columns // 2 + 1, rows + 1))
+        over.draw_loupe(loupe, self._loupe)
         return loupe.strips()
 
     # ---- cursor ----------------------------------------------------------------------------------
@@ -276,9 +238,76 @@ class ImagePanel(Panel):
         try:
             ticket = self.session.pick(self.side, self.cursor, self._picture)
         except OperatorError as error:
-            self.notify(str(error), severity="warning", timeout=4)
+            self._tell(error)
             return
         self.post_message(self.Picked(self.side, ticket is not None))
+
+    # ---- help for the hand -----------------------------------------------------------------------
+
+    def action_snap(self) -> None:
+        """The cursor goes to the corner, or the point with depth, that is nearest."""
+        try:
+            self.session.hold_still(self._picture)
+            self.move_to(*self.guide.snap(self.side, self.cursor))
+        except OperatorError as error:
+            self._tell(error)
+
+    def action_hint(self) -> None:
+        """Labels appear over places worth a pick; typing one puts the cursor there."""
+        if self._window is None:
+            return
+        self.session.hold_still(self._picture)
+        px = self._window.px_per_half
+        places = self.guide.places(self.side, 4 * px, 4 * px, MOST)
+        shown = [place for place in places if self._is_in_sight(place)]
+        self.hints = Hints.of(shown) if shown else None
+        if not shown:
+            self.notify("There is nothing here that stands out: use the arrows.", timeout=3)
+        self.repaint()
+
+    def on_key(self, event: events.Key) -> None:
+        """While labels are shown, letters choose one; any other key takes them away."""
+        if self.hints is None:
+            return
+        event.stop()
+        event.prevent_default()
+        if event.character is not None and event.character in LETTERS:
+            self.hints = self.hints.type(event.character)
+            chosen = self.hints.chosen
+            if chosen is not None:
+                self.hints = None
+                self.move_to(*chosen)
+        else:
+            self.hints = None
+        self.repaint()
+
+    def on_blur(self) -> None:
+        self.hints = None
+        super().on_blur()
+
+    def action_suggestion(self, step: int) -> None:
+        self.post_message(self.Suggestion(step))
+
+    def action_move_point(self) -> None:
+        """The nearest correspondence moves to the cursor."""
+        entry, pair = self.nearest(), self.session.pair
+        if entry is None or entry.id is None or pair is None:
+            self.notify("There is no confirmed point here to move.", timeout=3)
+            return
+        try:
+            self.session.move(pair, entry.id, self.side, self.cursor)
+        except OperatorError as error:
+            self._tell(error)
+
+    def _is_in_sight(self, pixel: PixelUV) -> bool:
+        assert self._window is not None
+        column, half_row = self._window.half_cell(*pixel)
+        return 0 <= column < self._window.columns - 1 and 0 <= half_row < 2 * self._window.rows
+
+    def _tell(self, error: OperatorError) -> None:
+        self.notify(str(error), severity="warning", timeout=4)
+
+    # ---- mouse -----------------------------------------------------------------------------------
 
     def on_click(self, event: events.Click) -> None:
         """A click in the image moves the cursor there; a click in the loupe picks that pixel."""
@@ -301,8 +330,3 @@ class ImagePanel(Panel):
     def on_mouse_scroll_down(self, event: events.MouseScrollDown) -> None:
         event.stop()
         self.action_zoom(1 / 1.5)
-
-
-def marker_colour(number: int) -> str:
-    """The colour of the n-th correspondence, from 1."""
-    return MARKER_COLOURS[(number - 1) % len(MARKER_COLOURS)]

@@ -10,19 +10,18 @@ from textual.strip import Strip
 from hmi_client.matrix import length_text
 from hmi_client.model import Entry
 from hmi_client.session import OperatorSession
-from hmi_client.text.cells import BACKGROUND, MARKER_COLOURS, style
+from hmi_client.text.cells import MARKER_COLOURS
+from hmi_client.text.palette import style
 from hmi_client.text.panel import Panel
 
 STATUS_COLOURS = {
-    "accepted": "#7fd18b",
-    "unused": "#8a97a6",
-    "outlier": "#d55e00",
-    "pending": "#f0e442",
-    "erasing": "#f0e442",
-    "rejected": "#ff5050",
+    "accepted": "good",
+    "unused": "dim",
+    "outlier": "outlier",
+    "pending": "waiting",
+    "erasing": "waiting",
+    "rejected": "red text",
 }
-EMPTY = style("#5c6672")
-CURSOR = "#2f4f74"
 
 
 class ListPanel(Panel):
@@ -59,19 +58,19 @@ class ListPanel(Panel):
         columns, rows = self.extent
         if not entries:
             text = " none yet" if pair else " no pair selected"
-            return [Strip([Segment(text, EMPTY)]).adjust_cell_length(columns, EMPTY)] + [
-                Strip.blank(columns, EMPTY)
-            ] * (rows - 1)
+            return [
+                Strip([Segment(text, style("faint"))]).adjust_cell_length(columns, style("faint"))
+            ] + [Strip.blank(columns, style("faint"))] * (rows - 1)
         self.at = min(self.at, len(entries) - 1)
         top = max(0, min(self.at - rows // 2, len(entries) - rows))
         lines = [
             self._line(number, entries[number - 1], columns)
             for number in range(top + 1, min(len(entries), top + rows) + 1)
         ]
-        return lines + [Strip.blank(columns, EMPTY)] * (rows - len(lines))
+        return lines + [Strip.blank(columns, style("faint"))] * (rows - len(lines))
 
     def _line(self, number: int, entry: Entry, columns: int) -> Strip:
-        background = CURSOR if self.has_focus and number - 1 == self.at else BACKGROUND
+        background = "cursor" if self.has_focus and number - 1 == self.at else "back"
         colour = MARKER_COLOURS[(number - 1) % len(MARKER_COLOURS)]
 
         def paint(tone: str) -> Style:
@@ -80,11 +79,11 @@ class ListPanel(Panel):
         segments = [
             Segment(f"{number:>2} ", style("#000000", colour, True)),
             Segment(f" {entry.status:<8} ", paint(STATUS_COLOURS[entry.status])),
-            Segment(quality(entry), paint("#c8d0d8")),
+            Segment(quality(entry), paint("text")),
         ]
         if columns > 46:
-            segments.append(Segment(pixels(entry), paint("#8a97a6")))
-        return Strip(segments).adjust_cell_length(columns, paint("#8a97a6"))
+            segments.append(Segment(pixels(entry), paint("dim")))
+        return Strip(segments).adjust_cell_length(columns, paint("dim"))
 
     def action_move(self, step: int) -> None:
         self.at = min(max(self.at + step, 0), max(len(self.session.entries()) - 1, 0))

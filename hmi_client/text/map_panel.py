@@ -11,19 +11,12 @@ from textual.strip import Strip
 from hmi_client.ground import ground_ellipse, heading_rad, position
 from hmi_client.matrix import length_text, natural
 from hmi_client.session import OperatorSession
-from hmi_client.text.cells import Canvas, style
+from hmi_client.text.cells import Canvas
+from hmi_client.text.palette import style
 from hmi_client.text.panel import Panel
 from protocol.messages import RobotPose
 
 Floats = npt.NDArray[np.float64]
-AXES = style("#39424e")
-ELLIPSE = style("#5f7384")
-LOCATED = style("#7fd18b", bold=True)
-UNSURE = style("#d9b35b")
-SELECTED = style("#ff5050", bold=True)
-SELECTED_NAME = style("#ffffff", "#b00020", bold=True)
-LEGEND = style("#8a97a6")
-APART = style("#a88fd1", bold=True)
 HEADING_DOTS = 9
 STEP = 1.25  # scales come in such steps, so that a moving robot does not repaint the whole map
 
@@ -132,21 +125,27 @@ class MapPanel(Panel):
         centre = projection.dots(np.zeros((1, 2)))[0]
         xs = np.arange(centre[0] % 6, across, 6)
         ys = np.arange(centre[1] % 6, down, 6)
-        canvas.dots(np.column_stack((xs, np.full_like(xs, centre[1]))), AXES)
-        canvas.dots(np.column_stack((np.full_like(ys, centre[0]), ys)), AXES)
+        canvas.dots(np.column_stack((xs, np.full_like(xs, centre[1]))), style("axes"))
+        canvas.dots(np.column_stack((np.full_like(ys, centre[0]), ys)), style("axes"))
 
     def _ellipse(
         self, canvas: Canvas, projection: Projection, pose: RobotPose, place: Floats
     ) -> None:
         outline = projection.dots(ground_ellipse(pose, points=96) + place - position(pose)[:2])
         if np.ptp(outline, axis=0).max() > 3:  # smaller than the marker itself
-            canvas.dots(outline, ELLIPSE)
+            canvas.dots(outline, style("ellipse"))
 
     def _robot(
         self, canvas: Canvas, projection: Projection, pose: RobotPose, place: Floats
     ) -> None:
         selected = self.session.pair is not None and pose.robot in self.session.pair
-        paint = SELECTED if selected else LOCATED if pose.located else UNSURE
+        paint = (
+            style("red text", bold=True)
+            if selected
+            else style("good", bold=True)
+            if pose.located
+            else style("plausible")
+        )
         x, y = projection.dots(place[None])[0]
         heading = heading_rad(pose)
         steps = np.arange(2.0, HEADING_DOTS, 0.5)[:, None]
@@ -159,26 +158,37 @@ class MapPanel(Panel):
         sides = (left, right) if math.cos(heading) >= 0 else (right, left)
         spots = [(side, row) for side in sides] + [(column - 1, row - 1), (column - 1, row + 1)]
         free = [spot for spot in spots if canvas.is_free(*spot, len(name))]
-        canvas.text(*(free or spots)[0], name, SELECTED_NAME if selected else paint)
+        canvas.text(
+            *(free or spots)[0], name, style("on red", "red", bold=True) if selected else paint
+        )
 
     def _legend(self, canvas: Canvas, projection: Projection, poses: dict[str, RobotPose]) -> None:
         bar = nice_length(projection.metres_per_dot * 2 * canvas.columns / 4)
         cells = max(2, round(bar / projection.metres_per_dot / 2))
         bottom = canvas.rows - 1
-        canvas.text(0, bottom, "├" + "─" * (cells - 2) + "┤ " + length_text(bar), LEGEND)
+        canvas.text(0, bottom, "├" + "─" * (cells - 2) + "┤ " + length_text(bar), style("dim"))
         key = "● located ○ not"
         if canvas.is_free(canvas.columns - len(key) - 1, bottom, len(key) + 1):
-            canvas.text(canvas.columns - len(key), bottom, key, LEGEND)
+            canvas.text(canvas.columns - len(key), bottom, key, style("dim"))
         fleet = self.session.fleet
         absent = [r for r in self.session.robots() if r not in poses]
         if absent:
-            canvas.text(0, bottom - 1, ("no pose: " + " ".join(absent))[: canvas.columns], UNSURE)
+            canvas.text(
+                0,
+                bottom - 1,
+                ("no pose: " + " ".join(absent))[: canvas.columns],
+                style("plausible"),
+            )
         anchor = fleet.anchor if fleet else None
         apart = sorted({p.component for p in poses.values()} - {anchor}, key=natural)
         if apart:
             members = {c: [r for r in poses if poses[r].component == c] for c in apart}
             words = "; ".join(" ".join(sorted(members[c], key=natural)) for c in apart)
-            canvas.text(0, bottom - 2, f"apart: {words}"[: canvas.columns], APART)
+            canvas.text(
+                0, bottom - 2, f"apart: {words}"[: canvas.columns], style("apart", bold=True)
+            )
         if fleet is not None:
             up = "up assumed" if fleet.up_assumed else "z up"
-            canvas.text(0, 0, f"anchor {fleet.anchor or 'none'}, {up}"[: canvas.columns], LEGEND)
+            canvas.text(
+                0, 0, f"anchor {fleet.anchor or 'none'}, {up}"[: canvas.columns], style("dim")
+            )

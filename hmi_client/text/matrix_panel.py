@@ -11,14 +11,11 @@ from textual.strip import Strip
 
 from hmi_client.matrix import SELF, Cell, Matrix, length_text, matrix_of
 from hmi_client.session import OperatorSession
-from hmi_client.text.cells import style
+from hmi_client.text.palette import style
 from hmi_client.text.panel import PanelMixin
 from protocol.keys import ordered_pair
 
-NAME = style("#7fa6d1")
-DIM = style("#5c6672")
-TONES = {"verified": "#c8d0d8", "plausible": "#d9b35b", "ambiguous": "#d98a5b", None: "#5c6672"}
-RED, CURSOR = "#b00020", "#2f4f74"
+TONES = {"verified": "text", "plausible": "plausible", "ambiguous": "ambiguous", None: "faint"}
 CLICKED = "•"
 MAX_NAME = 9
 
@@ -106,23 +103,23 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
             if row < count:
                 cells = [self._cell(row, column) for column in columns]
                 lines.append(self._line(self._matrix.robots[row], cells))
-        blank = Strip.blank(self.extent.width, DIM)
+        blank = Strip.blank(self.extent.width, style("faint"))
         return lines + [blank] * (self.extent.height - len(lines))
 
     def _line(self, name: str, cells: list[Segment]) -> Strip:
         selected = name != "" and name in (self.session.pair or ())
-        paint = style("#ffffff", RED, True) if selected else NAME
+        paint = style("on red", "red", True) if selected else style("name")
         head = Strip([Segment(shorten(name, self.head - 1).ljust(self.head - 1), paint)])
         left, width = self.scroll_offset.x % self.pitch, self.extent.width - self.head
         body = Strip(cells).crop(left, left + width)
-        gap = Strip([Segment(" ", DIM)])
-        return Strip.join([head, gap, body]).adjust_cell_length(self.extent.width, DIM)
+        gap = Strip([Segment(" ", style("faint"))])
+        return Strip.join([head, gap, body]).adjust_cell_length(self.extent.width, style("faint"))
 
     def _column_name(self, column: int) -> Segment:
         name = self._matrix.robots[column]
         selected = name in (self.session.pair or ())
         text = shorten(name, self.pitch - 1).rjust(self.pitch - 1) + " "
-        return Segment(text, style("#ff5050", bold=True) if selected else NAME)
+        return Segment(text, style("red text", bold=True) if selected else style("name"))
 
     def _cell(self, row: int, column: int) -> Segment:
         a, b = self._matrix.robots[row], self._matrix.robots[column]
@@ -187,13 +184,12 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
 
 def cell_style(cell: Cell, selected: bool, at_cursor: bool) -> Style:
     """Selected cells are red, the cursor is blue, values have the colour of their verdict."""
-    background = RED if selected else CURSOR if at_cursor else "#10141a"
     if selected:
-        return style("#ffffff", "#e0263c" if at_cursor else RED, True)
-    colour = "#39424e" if cell.text == SELF else TONES.get(cell.verdict, "#5c6672")
+        return style("on red", "red cursor" if at_cursor else "red", True)
+    background = "cursor" if at_cursor else "back"
     if cell.bold:
-        return style("#ffffff", background, True)
-    return style(colour, background)
+        return style("bright", background, True)
+    return style("axes" if cell.text == SELF else TONES.get(cell.verdict, "faint"), background)
 
 
 def shorten(name: str, length: int) -> str:

@@ -8,7 +8,7 @@ from textual.strip import Strip
 from textual.widget import Widget
 
 from hmi_client.session import OperatorSession
-from hmi_client.text.cells import style
+from hmi_client.text.palette import style
 
 
 class PanelMixin(Widget):
@@ -57,8 +57,8 @@ class PanelMixin(Widget):
         strips, _ = self._shown()
         width = self.size.width
         if y < len(strips):
-            return strips[y].adjust_cell_length(width, style("#c8d0d8"))
-        return Strip.blank(width, style("#c8d0d8"))
+            return strips[y].adjust_cell_length(width, style("text"))
+        return Strip.blank(width, style("text"))
 
     def on_resize(self) -> None:
         self.repaint()

@@ -5,23 +5,19 @@ from rich.style import Style
 from textual.strip import Strip
 
 from hmi_client.advice import confirmation, next_step, reason
+from hmi_client.proposals import Proposals
 from hmi_client.session import OperatorSession
-from hmi_client.text.cells import style
+from hmi_client.text.palette import style
 from hmi_client.text.panel import PanelMixin
-
-STEP = style("#ffffff", "#1d3b5c", bold=True)
-ALARM = style("#ffffff", "#b00020", bold=True)
-WHY = style("#a9b8c8", "#16202c")
-EVENT = style("#8a97a6", "#10141a")
-OPEN = style("#f0e442", "#10141a", bold=True)
 
 
 class StatusPanel(PanelMixin):
     """Three lines; painted at every tick, since silence has no event."""
 
-    def __init__(self, session: OperatorSession) -> None:
+    def __init__(self, session: OperatorSession, proposals: Proposals) -> None:
         super().__init__(id="status")
         self.session = session
+        self.proposals = proposals
 
     def paint(self) -> list[Strip]:
         session, width = self.session, self.extent.width
@@ -30,16 +26,18 @@ class StatusPanel(PanelMixin):
         confirmed = f"dropped {dropped}  " if dropped else ""
         confirmed += confirmation(session) + " "
         event = (session.events[-1] if session.events else "")[: max(width - len(confirmed) - 2, 0)]
+        tone = style("waiting", bold=True) if session.unconfirmed else style("dim")
+        step = style("on red", "red", True) if silent else style("on step", "step", True)
         last = Strip(
             [
-                Segment(f" {event}".ljust(width - len(confirmed)), EVENT),
-                Segment(confirmed, OPEN if session.unconfirmed else EVENT),
+                Segment(f" {event}".ljust(width - len(confirmed)), style("dim")),
+                Segment(confirmed, tone),
             ],
         )
         lines = [
-            line(f" {next_step(session)}", width, ALARM if silent else STEP),
-            line(f" {reason(session)}", width, WHY),
-            last.adjust_cell_length(width, EVENT),
+            line(f" {next_step(session, self.proposals)}", width, step),
+            line(f" {reason(session)}", width, style("on why", "why")),
+            last.adjust_cell_length(width, style("dim")),
         ]
         return lines[: self.extent.height]
 

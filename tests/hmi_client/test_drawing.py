@@ -7,10 +7,11 @@ import pytest
 from hmi_fakes import pose
 
 from hmi_client.ground import ground_ellipse, heading_rad, position_covariance, position_sigma_m
-from hmi_client.text.cells import BACKGROUND, Canvas, HalfBlocks, Window, braille_of, sample, style
-from hmi_client.text.image_panel import MIN_LOUPE, arrange, fit
+from hmi_client.text.arrangement import MIN_LOUPE, arrange, fit
+from hmi_client.text.cells import Canvas, HalfBlocks, Window, braille_of, sample
 from hmi_client.text.map_panel import Projection, layout, nice_length
 from hmi_client.text.matrix_panel import shorten
+from hmi_client.text.palette import style, tone
 from hmi_client.text.panel import changed_span
 
 
@@ -48,7 +49,7 @@ def test_every_style_has_its_own_background():
     canvas = Canvas(4, 2)
     canvas.text(0, 0, "ab", style("#ffffff"))
     for strip in canvas.strips():
-        assert all(segment.style.bgcolor.name == BACKGROUND for segment in strip)
+        assert all(segment.style.bgcolor.name == tone("back") for segment in strip)
 
 
 def test_braille_has_dots_where_they_were_set():
