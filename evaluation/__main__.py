@@ -234,6 +234,30 @@ def questions(
 
 
 @app.command()
+def operate(
+    out: Out,
+    data: Annotated[
+        Path | None, typer.Option(help="Recording; default: the synthetic world.")
+    ] = None,
+    clouds: Clouds = None,
+    robots: Annotated[int, typer.Option(min=2, help="The last one is kept apart.")] = 3,
+    first: Annotated[int, typer.Option(min=0, help="The first view.")] = 0,
+    points: Annotated[int, typer.Option(min=1, help="Points to click.")] = 3,
+    by_hand: Annotated[bool, typer.Option(help="Without the server's suggestions.")] = False,
+    size: Annotated[str, typer.Option(help="Columns x rows of the terminal.")] = "160x50",
+    theme: Annotated[str, typer.Option(help="Of the screen: auto, dark, light, mono.")] = "auto",
+) -> None:
+    """Join a fleet in two pieces by keys alone: the text client in a real terminal (tmux), and a
+    simulated person who sees what is on it. Writes every screen and summary.json.
+    """
+    from evaluation.terminal.operate import OperateOptions, run
+    from hmi_client.commands import size_of
+
+    kind = clouds.value if clouds else None
+    run(OperateOptions(data, kind, robots, first, points, by_hand, *size_of(size), theme), out)
+
+
+@app.command()
 def stereo(out: Out) -> None:
     """Play a stereo video of the synthetic world; check calibrations, right and wrong."""
     from evaluation.stereo import run

@@ -5,6 +5,7 @@ import math
 from hmi_client.matrix import length_text
 from hmi_client.proposals import Proposals
 from hmi_client.session import OperatorSession
+from protocol.messages import Answer
 
 
 def next_step(session: OperatorSession, proposals: Proposals) -> str:
@@ -42,6 +43,11 @@ def next_step(session: OperatorSession, proposals: Proposals) -> str:
         return f"Point picked in {done}: now pick the same point in {other} (c cancels)"
     question = session.question()
     asked = question is not None and (question.i, question.j) == session.pair
+    answer = answer_of(session)
+    if answer is not None and not asked and answer.clicks:
+        rest = "n goes to the next question" if question is not None else "nothing else is asked"
+        done = f"{', '.join(answer.joined[:4])} joined" if answer.joined else "Answered"
+        return f"{done}: {located_text(session)}; {rest}"
     if question is not None and asked and question.suggestions:
         return (
             f"Same point in {i} and {j}? Tab shows suggestions; or g, arrows, s snaps, Space picks"
@@ -56,12 +62,30 @@ def reason(session: OperatorSession) -> str:
         cell = session.cell(session.pair)
     asked = question is not None and (session.pair in (None, (question.i, question.j)))
     parts = []
+    answer = answer_of(session)
+    if answer is not None:
+        parts.append(f"Done: {answer.text}")
     if question is not None and asked:
         gain = f" (a click gains about {length_text(question.gain)})" if question.gain else ""
         parts.append(f"Asked: {question.reason}{gain}")
     if cell is not None:
         parts.append(describe_cell(session))
     return "  ·  ".join(parts)
+
+
+def answer_of(session: OperatorSession) -> Answer | None:
+    """What the clicks in the selected pair did, if they were the last or nearly so."""
+    answers = session.fleet.answered if session.fleet else ()
+    return next((a for a in reversed(answers) if (a.i, a.j) == session.pair), None)
+
+
+def located_text(session: OperatorSession) -> str:
+    """How many robots are located."""
+    poses, robots = session.poses(), session.robots()
+    located = sum(pose.located for pose in poses.values())
+    if located == len(robots):
+        return f"all {located} robots are located"
+    return f"{located} of {len(robots)} robots are located"
 
 
 def describe_cell(session: OperatorSession) -> str:

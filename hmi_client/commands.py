@@ -5,7 +5,7 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -22,6 +22,13 @@ app = typer.Typer(
 )
 app.add_typer(correspondence_commands.app, name="correspondences")
 
+Theme = Annotated[
+    Literal["auto", "dark", "light", "mono"],
+    typer.Option(
+        help="colours; auto: mono with NO_COLOR, light or dark by COLORFGBG, else dark",
+        envvar="FLEETPOSE_HMI_THEME",
+    ),
+]
 Threshold = Annotated[float, typer.Option(help="hide errors above it, metres", min=0.0001)]
 
 
@@ -40,6 +47,7 @@ def default(context: typer.Context) -> None:
 def screen(
     fps: Annotated[float, typer.Option(help="looks at the state per second", min=1, max=60)] = 10.0,
     threshold: Threshold = 1.0,
+    theme: Theme = "auto",
     log: Annotated[Path | None, typer.Option(help="log file; default in the state folder")] = None,
     connect: c.Connect = c.DEFAULT_CONNECT,
     site: c.Site = c.DEFAULT_SITE,
@@ -49,7 +57,7 @@ def screen(
     """Shows map, errors and images; q quits."""
     from hmi_client.text.run import run_screen
 
-    run_screen(c.Connection.of(connect, site, config, operator), fps, threshold, log)
+    run_screen(c.Connection.of(connect, site, config, operator), fps, threshold, log, theme)
 
 
 @app.command()
@@ -59,6 +67,7 @@ def screenshot(
     after: Annotated[float, typer.Option(help="seconds to wait at most", min=0.0)] = 10.0,
     pair: Annotated[str, typer.Option(help="R1,R2; default: the first question's")] = "",
     maximise: Annotated[bool, typer.Option(help="show the images only")] = False,
+    theme: Theme = "auto",
     threshold: Threshold = 1.0,
     connect: c.Connect = c.DEFAULT_CONNECT,
     site: c.Site = c.DEFAULT_SITE,
@@ -66,10 +75,12 @@ def screenshot(
     operator: c.Operator = "",
 ) -> None:
     """Draws the screen into an SVG as soon as poses and images are there."""
+    from hmi_client.text import palette
     from hmi_client.text.run import take_screenshot
 
     columns, rows = size_of(size)
     where = c.Connection.of(connect, site, config, operator)
+    palette.use(palette.theme_for(theme))
     complete = take_screenshot(where, out, (columns, rows), after, pair, maximise, threshold)
     missing = "" if complete else f" (after {after:.0f} s not everything had arrived)"
     typer.echo(f"{out}{missing}")

@@ -13,6 +13,7 @@ from hmi_client.connection import Connection
 from hmi_client.errors import OperatorError
 from hmi_client.kept import KeptUpdates
 from hmi_client.session import OperatorSession
+from hmi_client.text import palette
 from hmi_client.text.app import FleetApp
 from protocol.keys import checked_name
 from protocol.logs import log_to_file
@@ -22,8 +23,15 @@ log = logging.getLogger(__name__)
 RETRY_TIMEOUT_S = 2.0  # per attempt to reach the router; the screen is there meanwhile
 
 
-def run_screen(where: Connection, fps: float, threshold_m: float, log: Path | None) -> None:
+def run_screen(
+    where: Connection,
+    fps: float,
+    threshold_m: float,
+    log: Path | None,
+    theme: palette.Choice = "auto",
+) -> None:
     """Runs the app until the operator quits; it also starts without a router and waits for one."""
+    palette.use(palette.theme_for(theme))
     log = log or default_log()
     own_log(log)
     kept = own_updates(where)
