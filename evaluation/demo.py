@@ -1,4 +1,6 @@
-"""`pose-eval demo`: a fleet in the synthetic world, with the operator's screen or without."""
+"""`pose-eval demo`: a fleet in the synthetic world, with the operator's screen or without. Its last
+robot is kept from the automatic path, so that there is a real question to answer.
+"""
 
 import os
 import subprocess
@@ -13,6 +15,7 @@ import numpy as np
 from deploy.local_fleet import LocalFleet, wait_running
 from evaluation.fleet import (
     FleetPlan,
+    kept_apart,
     open_link,
     plan_world,
     poses_now,
@@ -75,8 +78,12 @@ def run(robots: int, seconds: float, headless: bool) -> int:
     logs = Path(tempfile.mkdtemp(prefix="fleetpose-demo-"))
     plan = plan_world([f"r{k + 1}" for k in range(robots)], logs, moving=False, seed=0)
     print(f"{robots} robots, a world, a server and a router; logs in {logs}", flush=True)
+    print(
+        f"the machine may not align {plan.names[-1]}: it waits for an operator's clicks", flush=True
+    )
+    workers = max(1, min(4, os.cpu_count() or 1))
     with LocalFleet(logs) as fleet:
-        start(fleet, plan, workers=max(1, min(4, os.cpu_count() or 1)), state=logs / "state")
+        start(fleet, plan, workers, logs / "state", kept_apart(plan.names, logs))
         if not headless:
             return _on_screen(fleet)
         result = _unattended(fleet, plan, began_s + seconds - CLOSING_S)

@@ -246,6 +246,15 @@ def named_skip_pairs(path: Path | None, names: Sequence[str], scratch: Path) -> 
     return named
 
 
+def kept_apart(names: Sequence[str], scratch: Path) -> Path:
+    """Writes a file of pairs to skip: all of the last robot, so that only an operator can join
+    it.
+    """
+    path = scratch / "kept_apart"
+    path.write_text("".join(f"{name} {names[-1]}\n" for name in names[:-1]))
+    return path
+
+
 def start(
     fleet: LocalFleet,
     plan: FleetPlan,

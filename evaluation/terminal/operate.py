@@ -11,7 +11,15 @@ from typing import Any
 
 from deploy.local_fleet import LocalFleet, wait_running
 from evaluation.datasets import CloudKind
-from evaluation.fleet import FleetOptions, FleetPlan, open_link, plan_fleet, start, wait_started
+from evaluation.fleet import (
+    FleetOptions,
+    FleetPlan,
+    kept_apart,
+    open_link,
+    plan_fleet,
+    start,
+    wait_started,
+)
 from evaluation.geometry import Floats, inverse
 from evaluation.observer import Observer
 from evaluation.report import output_folder, print_table, write_summary
@@ -77,7 +85,7 @@ def run(options: OperateOptions, out: Path) -> dict[str, Any]:
             FleetOptions(options.robots, 0.0, options.data, options.clouds, options.first),
             Path(scratch),
         )
-        skip = kept_apart(plan, Path(scratch))
+        skip = kept_apart(plan.names, Path(scratch))
         shutil.rmtree(folder / "logs", ignore_errors=True)
         with LocalFleet(folder / "logs") as fleet:
             start(fleet, plan, 2, Path(scratch) / "state", skip)
@@ -93,14 +101,6 @@ def run(options: OperateOptions, out: Path) -> dict[str, Any]:
     rows = [(name, value) for name, value in summary.items()]
     print_table("an operator at the keyboard", ("what", "value"), rows)
     return summary
-
-
-def kept_apart(plan: FleetPlan, scratch: Path) -> Path:
-    """A file of pairs to skip: all of the last robot."""
-    last = plan.names[-1]
-    path = scratch / "kept_apart"
-    path.write_text("".join(f"{name} {last}\n" for name in plan.names[:-1]))
-    return path
 
 
 def _operated(
