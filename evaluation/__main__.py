@@ -234,6 +234,39 @@ def questions(
 
 
 @app.command()
+def hmi(
+    out: Out,
+    robots: Annotated[int, typer.Option(min=2, help="Robots in the fleet.")] = 72,
+    seconds: Annotated[float, typer.Option(min=5, help="Of the measurement of costs.")] = 60.0,
+    moving: Annotated[bool, typer.Option("--moving", help="Cameras that pan.")] = False,
+    targets: Annotated[int, typer.Option(min=1, help="To pick, by keys and by mouse.")] = 50,
+    size: Annotated[str, typer.Option(help="Columns x rows of the terminal.")] = "160x50",
+) -> None:
+    """Measure the text client in a pseudo-terminal (bytes, CPU, memory, from key to screen), with
+    poses and errors of a fleet at 10 Hz and two images at 5 Hz; then pick targets by keys and by
+    mouse in a real terminal (tmux).
+    """
+    from evaluation.terminal.hmi import HmiOptions, run
+    from hmi_client.commands import size_of
+
+    run(HmiOptions(robots, seconds, moving, targets, *size_of(size)), out)
+
+
+@app.command("stand-in", hidden=True)
+def stand_in(
+    notes: Annotated[Path, typer.Option(help="File for the operator's updates.")],
+    robots: Annotated[int, typer.Option(min=2)] = 72,
+    moving: Annotated[bool, typer.Option("--moving")] = False,
+    connect: Annotated[list[str] | None, typer.Option(help="Endpoint of the router.")] = None,
+    site: Annotated[str, typer.Option(help="Name of the site.")] = "demo",
+) -> None:
+    """Say what a server and robots would say, for `hmi`."""
+    from evaluation.terminal.stand_in import Load, run
+
+    run(Load(robots, moving=moving), tuple(connect or ()), site, notes)
+
+
+@app.command()
 def operate(
     out: Out,
     data: Annotated[
