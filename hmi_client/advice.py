@@ -2,7 +2,7 @@
 
 import math
 
-from hmi_client.matrix import length_text
+from hmi_client.matrix import are_joined, components_of, length_text
 from hmi_client.proposals import Proposals
 from hmi_client.session import OperatorSession
 from protocol.messages import Answer
@@ -68,7 +68,7 @@ def reason(session: OperatorSession) -> str:
     if question is not None and asked:
         gain = f" (a click gains about {length_text(question.gain)})" if question.gain else ""
         parts.append(f"Asked: {question.reason}{gain}")
-    if cell is not None:
+    if session.pair is not None and (cell is not None or session.fleet is not None):
         parts.append(describe_cell(session))
     return "  ·  ".join(parts)
 
@@ -91,6 +91,9 @@ def located_text(session: OperatorSession) -> str:
 def describe_cell(session: OperatorSession) -> str:
     """The state of the selected pair in a few words."""
     cell = session.cell(session.pair) if session.pair else None
+    if cell is None and session.pair is not None and session.fleet is not None:
+        joined = are_joined(components_of(session.fleet), *session.pair)
+        return "known only through others" if joined else "never tried"
     if cell is None or cell.state == "untried":
         return "never tried"
     if cell.state == "through_others":

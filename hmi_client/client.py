@@ -6,10 +6,12 @@ Callbacks open what came and store it. Three threads work: one reads, one sends
 
 import logging
 import threading
+import time
 from collections.abc import Callable
 from typing import TypeVar
 
 from hmi_client.arrivals import Arrived, opened, picture_in
+from hmi_client.deferred import Deferred
 from hmi_client.errors import PictureError
 from hmi_client.fetcher import Fetcher
 from hmi_client.model import Pair, Picture
@@ -32,6 +34,8 @@ from protocol.messages import (
 from protocol.transport import Link, Sample, Slots
 
 log = logging.getLogger(__name__)
+OPENED_EVERY_S = 0.2  # the state and the poses
+POLL_S = 0.05
 MAX_KEPT = 20_000  # robots with cameras, pairs with alignments: names may be anybody's invention
 
 T = TypeVar("T")
@@ -53,6 +57,7 @@ class Client:
         self._open_link = open_link
         self._link: Link | None = None
         self._inbox: Slots[Arrived] = Slots()
+        self._deferred = Deferred()
         self._alignments: dict[str, Alignment] = {}
         self._cameras: dict[str, CameraAnnouncement] = {}
         self._stop = threading.Event()
@@ -130,10 +135,10 @@ class Client:
     def _connect(self, link: Link) -> None:
         self._link = link
         operator = self.session.operator
+        for key in (self.keys.state, self.keys.poses):
+            link.on_latched(key, self._deferred.store)
         for key in (
-            self.keys.state,
             self.keys.status,
-            self.keys.poses,
             self.keys.correspondences("*", "*"),
             self.keys.receipts(operator),
             self.keys.camera("*"),
@@ -168,10 +173,24 @@ class Client:
         self._inbox.store(Arrived(sample.key, content))
 
     def _read(self) -> None:
+        opened_s = 0.0
         while not self._stop.is_set():
-            arrived = self._inbox.take(0.5)
+            arrived = self._inbox.take(POLL_S)
             if arrived is not None:
                 self._survive(arrived.key, lambda one=arrived: self._take(one.content))
+            if self._deferred and time.monotonic() - opened_s >= OPENED_EVERY_S:
+                opened_s = time.monotonic()
+                self._open_deferred()
+
+    def _open_deferred(self) -> None:
+        """Opens the newest state and poses; where one is damaged, the one before it."""
+        for samples in self._deferred.take():
+            for sample in samples:
+                try:
+                    self._take(opened(self.keys, sample))
+                    break
+                except FleetPoseError as error:
+                    self.session.drop(sample.key, error)
 
     def _survive(self, key: str, work: Callable[[], None]) -> None:
         try:

@@ -1,7 +1,8 @@
 """The symmetric error matrix as texts: value, hyphen, `·` or `~`, and which values are bold."""
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 from hmi_client.model import Pair
@@ -31,11 +32,16 @@ class Matrix:
     cells: dict[Pair, Cell]
     width: int = 1
     """Length of the longest text."""
+    components: dict[str, str] = field(default_factory=dict)
+    """Of each robot that has a pose."""
 
     def at(self, a: str, b: str) -> Cell:
         if a == b:
             return Cell(SELF)
-        return self.cells.get(ordered_pair(a, b), Cell(UNTRIED))
+        known = self.cells.get(ordered_pair(a, b))
+        if known is not None:
+            return known
+        return Cell(THROUGH if are_joined(self.components, a, b) else UNTRIED)
 
 
 def natural(name: str) -> tuple[str | int, ...]:
@@ -67,7 +73,17 @@ def matrix_of(fleet: FleetState, threshold_m: float) -> Matrix:
             states = {"untried": UNTRIED, "through_others": THROUGH, "tried": HIDDEN}
             cells[pair] = Cell(states[cell.state], clicked=clicked)
     width = max((len(cell.text) for cell in cells.values()), default=1)
-    return Matrix(robots, unit, cells, width)
+    return Matrix(robots, unit, cells, width, components_of(fleet))
+
+
+def components_of(fleet: FleetState) -> dict[str, str]:
+    """The component of each robot that has a pose."""
+    return {r.robot: r.pose.component for r in fleet.robots if r.pose is not None}
+
+
+def are_joined(components: Mapping[str, str], a: str, b: str) -> bool:
+    """Whether two robots are known through others, if not by an alignment of their own."""
+    return a in components and components[a] == components.get(b)
 
 
 def length_text(metres: float) -> str:

@@ -50,7 +50,7 @@ def why_record(
         "pose_view": None if pose is None else str(pose.view),
         "pose_age_s": None if pose is None else pose.age_s,
         "pairs": [pair_of(session, robot, c, alignments.get((c.i, c.j))) for c in known],
-        "untried": len(cells) - len(known),
+        "untried": len(session.robots()) - 1 - len(known),
         "question": question_of(session, robot),
         "alarms": alarms_of(session, robot),
     }

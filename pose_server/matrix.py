@@ -7,8 +7,8 @@ _OLD_S = 60.0  # from then on an alignment's age is told to ten seconds
 
 
 def pair_cells(site: Site, now_s: float) -> tuple[PairCell, ...]:
-    """Cells of all pairs but those that were not tried; one is made anew only when it changed, its
-    age by a second.
+    """Cells of the pairs that were tried or clicked in; which others are known through others the
+    poses tell. One is made anew only when it changed, its age by a second.
     """
     roots = _roots(site)
     names = sorted(
@@ -30,7 +30,7 @@ def _cell(
     record = site.pairs.get(pair)
     best = None if record is None else record.best
     through = pair[0] in roots and roots[pair[0]] == roots.get(pair[1])
-    if best is None and not clicks and not through:
+    if best is None and not clicks:
         return None
     age_s = 0.0 if record is None or best is None else max(0.0, now_s - record.last_s)
     age_s -= age_s % (1.0 if age_s < _OLD_S else 10.0)

@@ -301,11 +301,13 @@ class Alarm(Message, frozen=True, schema="fleet.alarm.v1"):
 class FleetState(
     Message,
     frozen=True,
-    schema="fleet.state.v4",
-    before="fleet.state.v3",
+    schema="fleet.state.v5",
+    before="fleet.state.v4",
     at_most=MAX_MESSAGE_BYTES,
 ):
-    """`fleet/state`: everything a late client needs, at a steady rate. v4 has answers."""
+    """`fleet/state`: everything a late client needs, at a steady rate. v5 has no cells of pairs
+    that were neither tried nor clicked in.
+    """
 
     server_epoch: Epoch
     n: Count
@@ -314,7 +316,10 @@ class FleetState(
     gauge_revision: Count
     up_assumed: bool
     robots: Many[RobotState]
-    pairs: Many[PairCell]
+    pairs: Many[PairCell] = Field(
+        description="tried or clicked in; two robots without a cell are known through others if "
+        "their poses are of one component"
+    )
     questions: Many[Question]
     events: Many[Text] = Field(description="the newest 20, oldest first")
     pinned: Many[ViewName] = Field(

@@ -1,4 +1,4 @@
-"""`pose-eval hmi`: what the text client costs under load, how quick it is, how exactly one picks."""
+"""`pose-eval hmi`: what the text client costs, how quick it is, how exactly one picks."""
 
 import shutil
 import sys

@@ -11,9 +11,11 @@ from evaluation.terminal.fingers import arrow_keys
 from evaluation.terminal.reading import ShownImage, images_on
 from evaluation.terminal.tmux import Terminal
 from hmi_client.text.arrangement import arrange
+from protocol.errors import FleetPoseError
 from protocol.transport import wait_until
 
 _MARGIN_PX = 12
+SENT_S = 10.0
 SIZE = (640, 480)
 _FREEZE_KEYS = 40  # arrows that are sent at once
 
@@ -43,7 +45,9 @@ class Picker:
             before = len(self._noted())
             for side in (0, 1):
                 self._pick(side, wanted[side])
-            wait_until(lambda before=before: len(self._noted()) > before, 10.0)
+            if not wait_until(lambda before=before: len(self._noted()) > before, SENT_S):
+                shown = "\n".join(self.terminal.screen())
+                raise FleetPoseError(f"{wanted} were picked, but nothing was sent:\n{shown}")
             record = self._noted()[before]
             got = (record["pixel_i"], record["pixel_j"])
             worst = max(worst, float(np.abs(np.subtract(got, wanted)).max()))
@@ -72,7 +76,7 @@ class Picker:
         column, half_row = image.window(SIZE).half_cell(*target)
         self.terminal.click(image.left + column, image.top + half_row // 2)
         near = self._wait_cursor(side, target, image.window(SIZE).px_per_half + 1)
-        loupe = arrange(image.columns, image.rows, SIZE[0] / SIZE[1]).loupe
+        loupe = arrange(image.columns, image.rows - 1, SIZE[0] / SIZE[1]).loupe
         assert loupe is not None
         left, top, columns, rows = loupe
         u, v = np.subtract(target, near.cursor)

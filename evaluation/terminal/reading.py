@@ -10,7 +10,7 @@ from hmi_client.model import PixelUV
 from hmi_client.text.arrangement import arrange, fit
 from hmi_client.text.cells import Window
 
-_TOP = re.compile(r"[╭┏][─━]+ ?(?P<title>\S[^─━╮┓]*view \d+[^─━╮┓]*?) ?[─━]*[╮┓]")
+_TOP = re.compile(r"[╭┏][─━]+ (?P<title>[^─━╮┓]+) [─━]*[╮┓]")
 _PIXEL = re.compile(r"(-?\d+), (-?\d+) px")
 _LABEL = re.compile(r"(?<![a-z])[a-z]{1,2}(?![a-z])")
 
@@ -23,7 +23,7 @@ class ShownImage:
         robot: whose image.
         left, top: the first cell inside of its border.
         columns, rows: inside of its border.
-        cursor: the pixel that its lower border names.
+        cursor: the pixel that its last line names.
         focused: whether keys go there.
         inside: its lines.
     """
@@ -39,7 +39,7 @@ class ShownImage:
 
     def window(self, size: tuple[int, int]) -> Window:
         """What of an image of that size (px) is shown, not zoomed."""
-        place = arrange(self.columns, self.rows, size[0] / size[1])
+        place = arrange(self.columns, self.rows - 1, size[0] / size[1])
         return fit(place, size, 1.0, (size[0] / 2, size[1] / 2))
 
     def labels(self, size: tuple[int, int]) -> dict[str, PixelUV]:
@@ -64,7 +64,7 @@ def images_on(lines: Sequence[str]) -> list[ShownImage]:
             )
             if bottom is None:
                 continue
-            pixel = _PIXEL.search(lines[bottom][left : right + 1])
+            pixel = _PIXEL.match(lines[bottom - 1][left + 1 : right])
             if pixel is None:
                 continue
             found.append(

@@ -9,6 +9,7 @@ import json
 import signal
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,7 +49,6 @@ from protocol.transport import (
     Sample,
     SessionSettings,
     open_session,
-    wait_until,
 )
 
 WIDTH, HEIGHT = 640, 480
@@ -115,7 +115,7 @@ class StandIn:
         self._rng = np.random.default_rng(0)
         self._images = [images(load.moving, seed) for seed in (1, 2)]
         self._seq = 0
-        self._lock = threading.Lock()
+        self._heard: deque[Sample] = deque()  # callbacks only store
         self._selected: Selection | None = None
         self._sets: dict[tuple[str, str], PairCorrespondences] = {}
         self._receipted: dict[str, int] = {}
@@ -129,8 +129,8 @@ class StandIn:
             )
             self._put(keys.camera(name), announced)
             link.queryable(keys.view(name), lambda asked, name=name: self._kept(name, asked))
-        link.on_latched(keys.updates("*"), self._on_update)
-        link.on_latched(keys.selection("*"), self._on_selection)
+        link.on_latched(keys.updates("*"), self._heard.append)
+        link.on_latched(keys.selection("*"), self._heard.append)
 
     def run(self, stop: threading.Event) -> None:
         """Says until told to stop."""
@@ -138,7 +138,9 @@ class StandIn:
         per_image = max(round(self._load.state_hz / self._load.image_hz), 1)
         while not stop.is_set():
             due_s = began_s + n / self._load.state_hz
-            wait_until(lambda due_s=due_s: stop.is_set() or time.monotonic() >= due_s, 60.0, 0.002)
+            while not stop.is_set() and time.monotonic() < due_s:
+                self._answer()
+                stop.wait(0.005)
             if n % per_image == 0:
                 self._seq += 1
                 self._show()
@@ -159,8 +161,7 @@ class StandIn:
         poses = [self._pose(k, n) for k in range(self._load.robots)]
         for publisher, pose in zip(self._poses, poses, strict=True):
             publisher.put(pack(pose), encoding_of(RobotPose))
-        with self._lock:
-            selected = self._selected
+        selected = self._selected
         held = (selected.view_i, selected.view_j) if selected else ()
         state = FleetState(
             server_epoch=self._epoch,
@@ -210,14 +211,13 @@ class StandIn:
         )
 
     def _cells(self) -> tuple[PairCell, ...]:
-        """Neighbours around the ring are aligned, the others known through them."""
+        """Neighbours around the ring are aligned; the others are known through them."""
         cells = []
         for a, first in enumerate(self._names):
             for b in range(a + 1, len(self._names)):
                 i, j = sorted((first, self._names[b]))
                 apart = min(b - a, self._load.robots - (b - a))
                 if apart > 4:
-                    cells.append(PairCell(i=i, j=j, state="through_others"))
                     continue
                 rmse_m = float(self._rng.uniform(0.01, 0.3))
                 cells.append(
@@ -245,13 +245,15 @@ class StandIn:
 
     # ---- hearing ---------------------------------------------------------------------------------
 
-    def _on_selection(self, sample: Sample) -> None:
-        selection = unpack(Selection, sample.payload, sample.encoding)
-        with self._lock:
-            self._selected = selection
+    def _answer(self) -> None:
+        while self._heard:
+            sample = self._heard.popleft()
+            if sample.key.endswith("/selection"):
+                self._selected = unpack(Selection, sample.payload, sample.encoding)
+            else:
+                self._take(unpack(OperatorUpdate, sample.payload, sample.encoding))
 
-    def _on_update(self, sample: Sample) -> None:
-        update = unpack(OperatorUpdate, sample.payload, sample.encoding)
+    def _take(self, update: OperatorUpdate) -> None:
         if update.n != self._receipted.get(update.session, 0) + 1:
             return
         self._receipted[update.session] = update.n
@@ -307,9 +309,9 @@ class StandIn:
         return Answer(pack(kept), encoding_of(KeptView))
 
     def _put(self, key: str, message: CameraAnnouncement | Receipts | PairCorrespondences) -> None:
-        with self._lock:
-            publisher = self._publishers.setdefault(key, self._link.latched(key))
-        publisher.put(pack(message), encoding_of(type(message)))
+        if key not in self._publishers:
+            self._publishers[key] = self._link.latched(key)
+        self._publishers[key].put(pack(message), encoding_of(type(message)))
 
 
 CAMERA = Camera(

@@ -16,7 +16,7 @@ from hmi_client.guide import Expected, Guide
 from hmi_client.model import Entry, Picture, PixelUV
 from hmi_client.session import OperatorSession
 from hmi_client.text.arrangement import Arrangement, arrange, fit
-from hmi_client.text.cells import HalfBlocks, Image, Window, sample
+from hmi_client.text.cells import HalfBlocks, Image, Window, sample, steadied
 from hmi_client.text.hints import LETTERS, MOST, Hints
 from hmi_client.text.overlay import Overlay
 from hmi_client.text.palette import style
@@ -81,6 +81,7 @@ class ImagePanel(Panel):
         self._window: Window | None = None
         self._loupe: Window | None = None
         self._arrangement: Arrangement | None = None
+        self._shown_of: dict[str, tuple[Window, Image]] = {}
 
     # ---- what is shown ---------------------------------------------------------------------------
 
@@ -102,6 +103,7 @@ class ImagePanel(Panel):
         picture = self.session.picture(robot) if robot else None
         if robot != self._robot:
             self._robot, self._image, self._picture = robot, None, None
+            self._shown_of.clear()
         if picture is None or picture.view == self._view:
             return
         first = self._image is None
@@ -126,31 +128,48 @@ class ImagePanel(Panel):
             self._window = self._loupe = None
             return self._waiting(columns, rows)
         width, height = self.image_size
-        place = self._arrangement = arrange(columns, rows, width / height)
+        place = self._arrangement = arrange(columns, rows - 1, width / height)
         self._window = fit(place, self.image_size, self.zoom, self._centre)
         over = self._overlay()
-        picture = HalfBlocks(sample(self._image, self._window, self._scale))
+        picture = HalfBlocks(self._steady("image", self._image, self._window))
         over.draw(picture, self._window)
         lines = picture.strips()
         if place.loupe is None:
             self._loupe = None
-            return lines
+            return [*lines, self._about(columns)]
         left, _, loupe_columns, loupe_rows = place.loupe
         loupe = self._paint_loupe(over, loupe_columns, loupe_rows)
         if left == 0:
-            return lines + loupe
+            return [*lines, *loupe, self._about(columns)]
         gap = Strip.blank(1, style("dim"))
-        return [Strip.join([a, gap, b]) for a, b in zip(lines, loupe, strict=True)]
+        beside = [Strip.join([a, gap, b]) for a, b in zip(lines, loupe, strict=True)]
+        return [*beside, self._about(columns)]
+
+    def _steady(self, part: str, image: Image, window: Window) -> Image:
+        """What a window shows of the image, without flickering; exactly while it is held still."""
+        seen = sample(image, window, self._scale)
+        before, shown = self._shown_of.get(part, (None, None))
+        if before == window and not self.session.frozen:
+            seen = steadied(seen, shown)
+        self._shown_of[part] = window, seen
+        return seen
 
     def _titles(self) -> None:
         frozen = "  FROZEN" if self.session.frozen else ""
         keeping = self.session.keeping(self._robot) if self._robot else ""
-        view = f"  view {self._view.seq}" if self._view else ""
-        self.title(f"{self._robot or 'no robot'}{view}{frozen}{keeping and '  ' + keeping}")
+        self.title(f"{self._robot or 'no robot'}{frozen}{keeping and '  ' + keeping}")
+
+    def _about(self, columns: int) -> Strip:
+        """The last line: where the cursor is and in which view. A border's text would do, but
+        setting one repaints the whole panel.
+        """
         u, v = self.cursor
         place = f"{u:.0f}, {v:.0f} px" + (f"  x{self.zoom:.1f}" if self.zoom > 1 else "")
         notice = self.session.picture_notice(self._robot) if self._robot else ""
-        self.subtitle(notice or place + self._depth_note() if self._image is not None else "")
+        view = f"view {self._view.seq}" if self._view else ""
+        text = (notice or place + self._depth_note())[:columns]
+        shown = f"{text.ljust(columns - len(view) - 1)} {view}" if notice == "" else text
+        return Strip([Segment(shown[:columns].ljust(columns), style("dim"))], columns)
 
     def _depth_note(self) -> str:
         """What is known of the depth under the cursor."""
@@ -199,7 +218,7 @@ class ImagePanel(Panel):
         assert self._image is not None
         u, v = (round(x) for x in self.cursor)
         self._loupe = Window(u - columns // 2, v - rows, 1.0, columns, rows)
-        loupe = HalfBlocks(sample(self._image, self._loupe, self._scale))
+        loupe = HalfBlocks(self._steady("loupe", self._image, self._loupe))
         depths = self.session.depths(self._robot) if self._robot else None
         if depths is not None and depths.scattered:
             over = replace(over, depth=depths.within(u, v, columns // 2 + 1, rows + 1))
@@ -315,8 +334,9 @@ class ImagePanel(Panel):
         if offset is None or self._window is None or self._arrangement is None:
             return
         loupe = self._arrangement.loupe
-        if loupe and offset.x >= loupe[0] and offset.y >= loupe[1] and self._loupe:
-            u, v = self._loupe.pixel(offset.x - loupe[0], 2 * (offset.y - loupe[1]))
+        x, y = offset.x - loupe[0] if loupe else 0, offset.y - loupe[1] if loupe else 0
+        if loupe and 0 <= x < loupe[2] and 0 <= y < loupe[3] and self._loupe:
+            u, v = self._loupe.pixel(x, 2 * y)
             self.move_to(round(u), round(v))
             self.action_pick()
         elif offset.x < self._arrangement.columns and offset.y < self._arrangement.rows:

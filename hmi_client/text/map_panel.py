@@ -76,7 +76,7 @@ class MapPanel(Panel):
     """Position on the ground and heading of every robot, with its uncertainty (2 sigma)."""
 
     TOPICS = ("poses", "fleet", "selection")
-    SLOW = ("fleet",)
+    SLOW = ("fleet", "poses")
     BINDINGS = [  # noqa: RUF012, as Textual declares it
         Binding("plus,equals_sign", "zoom(1.25)", "Zoom"),
         Binding("minus", "zoom(0.8)", "out", show=False),
