@@ -20,7 +20,6 @@ from hmi_client.text.palette import style, theme
 Image = npt.NDArray[np.uint8]
 OUTSIDE_BGR = (30, 24, 20)  # beyond the edge of an image
 COLOUR_BITS = 0xF8F8F8
-NOISE_LEVELS = 10
 _GREYS = " .:-=+*#%@"
 # The palette of Okabe and Ito is told apart by colour-blind people; the numbers say the same.
 MARKER_COLOURS = (
@@ -95,14 +94,19 @@ def sample(image: Image, window: Window, scale: float = 1.0) -> Image:
     return np.asarray(shown, np.uint8)
 
 
-def steadied(image: Image, shown: Image | None) -> Image:
+def steadied(image: Image, shown: Image | None, noise: int) -> Image:
     """An image with the values that were shown before, where it differs from them by no more than a
     sensor's noise: then a camera that stands still repaints nothing.
+
+    Args:
+        image: (rows, columns, 3).
+        shown: the same before; none or another size: the image as it is.
+        noise: largest difference of a channel, levels.
     """
     if shown is None or shown.shape != image.shape:
         return image
     off = np.abs(image.astype(np.int16) - shown).max(axis=2)
-    return np.where((off > NOISE_LEVELS)[..., None], image, shown)
+    return np.where((off > noise)[..., None], image, shown)
 
 
 class HalfBlocks:

@@ -23,6 +23,8 @@ from hmi_client.text.palette import style
 from hmi_client.text.panel import Panel
 from protocol.messages import ViewName
 
+NOISE_LEVELS = {"image": 10, "loupe": 20}  # a half cell of the image is a mean over many pixels
+
 
 class ImagePanel(Panel):
     """The picture of robot i (side 0) or j (side 1) of the selected pair."""
@@ -150,7 +152,7 @@ class ImagePanel(Panel):
         seen = sample(image, window, self._scale)
         before, shown = self._shown_of.get(part, (None, None))
         if before == window and not self.session.frozen:
-            seen = steadied(seen, shown)
+            seen = steadied(seen, shown, NOISE_LEVELS[part])
         self._shown_of[part] = window, seen
         return seen
 
