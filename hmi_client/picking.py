@@ -15,9 +15,9 @@ Image = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.floating]
 
 SNAP_PX = 6
-_PATCH_PX = 24.0  # what a point looks like: the size of its patch
+_PATCHES_PX = (8.0, 14.0)  # sizes at which a point's looks are compared
 _SIMILAR = 0.85  # cosine of the looks of two points that may be one
-_FEATURES = 1500
+_CORNERS, _CORNERS_APART_PX = 800, 4.0
 
 
 def snap_to_corner(grey: Image, pixel: PixelUV, reach_px: int = SNAP_PX) -> PixelUV | None:
@@ -93,17 +93,20 @@ class Looks:
 
 
 def looks_of(grey: Image) -> Looks:
-    """The salient points of an image; 30 ms for 640x480."""
-    points, descriptors = cv2.SIFT.create(_FEATURES).detectAndCompute(grey, None)
-    if descriptors is None:
-        return Looks(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
-    uv = np.array([point.pt for point in points], np.float64).reshape(-1, 2)
-    return Looks(uv, _rooted(descriptors))
+    """The corners of an image, as `look_at` sees a pixel; 30 ms for 640x480."""
+    uv = corners(grey, _CORNERS_APART_PX, _CORNERS)
+    return Looks(np.repeat(uv, len(_PATCHES_PX), axis=0), _look(grey, uv))
 
 
 def look_at(grey: Image, pixel: PixelUV) -> npt.NDArray[np.float32]:
-    """(A, 128) what a pixel looks like, at a few scales, upright."""
-    points = [cv2.KeyPoint(pixel[0], pixel[1], _PATCH_PX * k / 4) for k in (1.0, 1.6, 2.5)]
+    """(A, 128) what a pixel looks like, at a few scales, upright: cameras seldom roll."""
+    return _look(grey, np.array([pixel]))
+
+
+def _look(grey: Image, uv: Floats) -> npt.NDArray[np.float32]:
+    points = [cv2.KeyPoint(u, v, size, 0.0) for u, v in uv.tolist() for size in _PATCHES_PX]
+    if not points:
+        return np.zeros((0, 128), np.float32)
     _, descriptors = cv2.SIFT.create().compute(grey, points)
     return _rooted(descriptors)
 

@@ -1,7 +1,6 @@
 """A program in a real terminal: a window of a tmux server of our own."""
 
 import itertools
-import os
 import shlex
 import shutil
 import subprocess
@@ -46,13 +45,14 @@ class Terminal:
         self._folder = TemporaryDirectory(prefix="fleetpose-tmux-")
         self._socket = str(Path(self._folder.name) / "socket")
         columns, rows = self._size
+        self._config = Path(self._folder.name) / "tmux.conf"
+        self._config.write_text(
+            f"set -g default-size {columns}x{rows}\nset -g status off\nset -g escape-time 0\n"
+        )
         settings = [f"{name}={value}" for name, value in self._environment.items()]
-        line = shlex.join(["env", *settings, *self._command])
-        size = ("-x", str(columns), "-y", str(rows))
-        self._tmux("new-session", "-d", *size, "exec " + line)
-        self._tmux("set-option", "-g", "status", "off")
-        self._tmux("set-option", "-g", "escape-time", "0")
-        self._tmux("resize-window", *size)
+        unset = ("-u", "COLUMNS", "-u", "LINES")  # they would overrule the terminal's own size
+        line = shlex.join(["env", *unset, *settings, *self._command])
+        self._tmux("new-session", "-d", "-x", str(columns), "-y", str(rows), "exec " + line)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -112,7 +112,7 @@ class Terminal:
 
     def _tmux(self, *arguments: str) -> str:
         done = subprocess.run(
-            ["tmux", "-S", self._socket, "-f", os.devnull, *arguments],
+            ["tmux", "-S", self._socket, "-f", str(self._config), *arguments],
             capture_output=True,
             text=True,
             timeout=_TIMEOUT_S,

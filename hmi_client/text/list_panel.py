@@ -112,6 +112,8 @@ def quality(entry: Entry) -> str:
         words.append(length_text(entry.residual_m).rjust(8))
     if entry.residual_px is not None:
         words.append(f"{entry.residual_px:5.1f} px")
+    if entry.by:
+        words.append(f"by {entry.by}")
     return " ".join(words)
 
 

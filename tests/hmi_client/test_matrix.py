@@ -3,7 +3,7 @@
 import pytest
 from hmi_fakes import fleet
 
-from hmi_client.matrix import BOLD_SHARE, length_text, matrix_of, natural
+from hmi_client.matrix import BOLD_SHARE, THROUGH, UNTRIED, length_text, matrix_of, natural
 from protocol.messages import PairCell
 
 
@@ -76,3 +76,11 @@ def test_robots_are_sorted_by_number():
 
 def test_lengths_carry_their_unit():
     assert [length_text(x) for x in (0.0042, 0.032, 1.5)] == ["4.2 mm", "3.2 cm", "1.50 m"]
+
+
+def test_robots_of_one_component_without_a_cell_are_known_through_others():
+    bare = fleet(6).model_copy(update={"pairs": ()})
+    matrix = matrix_of(bare, 1.0)
+    assert matrix.at("r1", "r4").text == THROUGH and matrix.at("r4", "r2").text == THROUGH
+    assert matrix.at("r1", "r5").text == UNTRIED  # r5 stands apart
+    assert matrix.at("r1", "r6").text == UNTRIED  # r6 has no pose

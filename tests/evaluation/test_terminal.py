@@ -1,0 +1,74 @@
+"""The text client in a real terminal: joined by keys alone, picked to the pixel, read as shown."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from evaluation.terminal.fingers import Eyes, arrow_keys
+from evaluation.terminal.hmi import HmiOptions
+from evaluation.terminal.hmi import run as run_hmi
+from evaluation.terminal.operate import OperateOptions
+from evaluation.terminal.operate import run as run_operate
+from evaluation.terminal.reading import images_on
+from evaluation.terminal.tmux import Terminal
+from protocol.errors import FleetPoseError
+from tests.data import shared_data
+
+in_tmux = pytest.mark.skipif(shutil.which("tmux") is None, reason="no tmux")
+
+
+@pytest.mark.parametrize(("du", "dv"), [(0, 0), (3, -4), (17, 26), (-95, 120)])
+def test_arrows_lead_to_where_they_should_with_few_keys(du, dv):
+    keys = arrow_keys(du, dv)
+    steps = {"Left": (-1, 0), "Right": (1, 0), "Up": (0, -1), "Down": (0, 1)}
+    moved = sum(
+        (np.multiply(steps[k.removeprefix("S-")], 10 if k.startswith("S-") else 1) for k in keys),
+        np.zeros(2),
+    )
+    assert tuple(moved) == (du, dv) and len(keys) <= abs(du) // 10 + abs(dv) // 10 + 12
+
+
+def test_eyes_know_the_partner_of_a_pixel_near_a_known_one():
+    eyes = Eyes(np.array([[10.0, 10.0]]), np.array([[50.0, 60.0]]), ((640, 480), (640, 480)))
+    assert eyes.partner((12.0, 9.0)) == pytest.approx((52, 59))
+    assert eyes.partner((40.0, 10.0)) is None
+
+
+def test_image_panels_are_found_on_a_screen():
+    lines = [
+        "╭─ map ─╮┏━ r1  FROZEN ━━━━━━━━━┓",
+        "│       │┃▀▀as▀▀▀▀▀▀ ▀▀▀▀▀▀▀▀▀▀┃",
+        "│       │┃12, 34 px            ┃",
+        "╰───────╯┗━━━━━━━━━━━━━━━━━━━━━━┛",
+    ]
+    [image] = images_on(lines)
+    assert (image.robot, image.cursor, image.focused) == ("r1", (12.0, 34.0), True)
+    assert (image.left, image.top, image.rows) == (10, 1, 2)
+
+
+@in_tmux
+def test_a_program_that_is_not_there_is_told():
+    with pytest.raises(FleetPoseError), Terminal(["/nowhere/at-all"]) as terminal:
+        terminal.wait_text("anything", 1.0)
+
+
+@in_tmux
+@pytest.mark.timeout(150)
+def test_a_fleet_in_two_pieces_is_joined_by_keys_alone(tmp_path):
+    data = shared_data("church_herzjesu")
+    summary = run_operate(OperateOptions(data, "sparse_noisy"), tmp_path)
+    assert summary["joined"] and summary["shown"] and summary["points"] == 3
+    assert summary["verdict"] == "verified" and summary["ok"]
+    assert summary["keys"] < 60
+    assert len(list((tmp_path / "screens").glob("*.txt"))) >= 5
+
+
+@in_tmux
+@pytest.mark.timeout(150)
+def test_picks_by_keys_and_mouse_are_within_a_pixel(tmp_path):
+    run_hmi(HmiOptions(robots=6, seconds=5.0, targets=6), tmp_path)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["pick_error_px_max_keys"] <= 1 and summary["pick_error_px_max_mouse"] <= 1
+    assert summary["keys"] > 3 and summary["keys_lost"] == 0
