@@ -8,13 +8,12 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from typing import TypeVar
 
 from hmi_client.arrivals import Arrived, opened, picture_in
 from hmi_client.deferred import Deferred
 from hmi_client.errors import PictureError
 from hmi_client.fetcher import Fetcher
-from hmi_client.model import Pair, Picture
+from hmi_client.model import Picture
 from hmi_client.sender import Sender
 from hmi_client.session import OperatorSession
 from protocol.base import Message
@@ -36,9 +35,7 @@ from protocol.transport import Link, Sample, Slots
 log = logging.getLogger(__name__)
 OPENED_EVERY_S = 0.2  # the state and the poses
 POLL_S = 0.05
-MAX_KEPT = 20_000  # robots with cameras, pairs with alignments: names may be anybody's invention
-
-T = TypeVar("T")
+MAX_ROBOTS = 20_000  # names may be anybody's invention
 
 
 class Client:
@@ -58,7 +55,6 @@ class Client:
         self._link: Link | None = None
         self._inbox: Slots[Arrived] = Slots()
         self._deferred = Deferred()
-        self._alignments: dict[str, Alignment] = {}
         self._cameras: dict[str, CameraAnnouncement] = {}
         self._stop = threading.Event()
         self._threads: list[threading.Thread] = []
@@ -145,7 +141,7 @@ class Client:
             self.keys.alignment("*", "*"),
         ):
             link.on_latched(key, self._arrived)
-        sender = Sender(self.session, self.keys, link, self._arrived, self._recall_alignment)
+        sender = Sender(self.session, self.keys, link, self._arrived)
         self._run("hmi read", self._read)
         self._run("hmi send", lambda: sender.run(self._stop))
         fetcher = Fetcher(self.session, self.keys, link)
@@ -165,11 +161,10 @@ class Client:
                 content = self._readable(robot, lambda: self._picture(robot, sample))
             case _:
                 content = opened(self.keys, sample)
-        match content:
-            case CameraAnnouncement():
-                _keep(self._cameras, content.robot, content)
-            case Alignment():
-                _keep(self._alignments, sample.key, content)
+        if isinstance(content, CameraAnnouncement):
+            if content.robot not in self._cameras and len(self._cameras) >= MAX_ROBOTS:
+                raise CodecError(f"cameras of more than {MAX_ROBOTS} robots")
+            self._cameras[content.robot] = content
         self._inbox.store(Arrived(sample.key, content))
 
     def _read(self) -> None:
@@ -239,23 +234,3 @@ class Client:
         if self._link is None:
             raise UnreachableError("not connected to a router yet")
         return Fetcher(self.session, self.keys, self._link).picture(view)
-
-    # ---- alignments ------------------------------------------------------------------------------
-
-    def alignments(self, robot: str) -> dict[Pair, Alignment]:
-        """The newest alignment heard of each pair of a robot."""
-        known = tuple(self._alignments.values())
-        pairs = {(a.view_i.robot, a.view_j.robot): a for a in known}
-        return {pair: alignment for pair, alignment in pairs.items() if robot in pair}
-
-    def _recall_alignment(self, pair: Pair) -> None:
-        """Feeds the alignment that came before its pair was selected."""
-        alignment = self._alignments.get(self.keys.alignment(*pair))
-        if alignment is not None:
-            self.session.on_alignment(alignment)
-
-
-def _keep(table: dict[str, T], name: str, entry: T) -> None:
-    if name not in table and len(table) >= MAX_KEPT:
-        raise CodecError(f"more than {MAX_KEPT} of a kind")
-    table[name] = entry

@@ -144,8 +144,8 @@ def why(
         session.robot(robot)
         wait_for_sets(session)
         tried = set(tried_pairs(session, robot))
-        wait_until(lambda: tried <= set(client.alignments(robot)), ALIGNMENTS_S, poll_s=0.1)
-        record = why_record(session, robot, client.alignments(robot))
+        wait_until(lambda: tried <= set(session.alignments(robot)), ALIGNMENTS_S, poll_s=0.1)
+        record = why_record(session, robot, session.alignments(robot))
     typer.echo(json.dumps(record, indent=1) if as_json else why_text(record))
     raise typer.Exit(0 if record["located"] else 1)
 

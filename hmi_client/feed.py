@@ -13,6 +13,7 @@ from hmi_client.kept import KeptUpdates
 from hmi_client.matrix import natural
 from hmi_client.model import Entry, Pair, Pick, Picture, new_events
 from hmi_client.workbook import Workbook
+from protocol.errors import CodecError
 from protocol.messages import (
     Alignment,
     FleetState,
@@ -26,6 +27,7 @@ from protocol.messages import (
     ViewName,
 )
 
+MAX_PAIRS = 20_000
 SILENT_S = 2.5  # the state comes at 2 to 5 Hz; after this long without it the server counts as gone
 
 
@@ -49,10 +51,10 @@ class Feed(Changes):
         super().__init__(clock)
         self.fleet: FleetState | None = None
         self.status: ServerStatus | None = None
-        self.alignment: Alignment | None = None
         self.pair: Pair | None = None
         self._book = Workbook(operator, session, clock=clock, kept=kept)
         self._poses: dict[str, RobotPose] = {}
+        self._alignments: dict[Pair, Alignment] = {}
         self._gallery = Gallery()
         self._unreadable: dict[str, str] = {}
         self._fleet_s: float | None = None
@@ -97,6 +99,16 @@ class Feed(Changes):
         """The newest pose of every robot that has one."""
         with self._changed:
             return dict(self._poses)
+
+    @property
+    def alignment(self) -> Alignment | None:
+        """The newest alignment of the selected pair."""
+        return self._alignments.get(self.pair) if self.pair else None
+
+    def alignments(self, robot: str) -> dict[Pair, Alignment]:
+        """The newest alignment heard of each pair of a robot."""
+        with self._changed:
+            return {pair: known for pair, known in self._alignments.items() if robot in pair}
 
     def cell(self, pair: Pair) -> PairCell | None:
         """The matrix cell of a pair."""
@@ -241,10 +253,17 @@ class Feed(Changes):
             self._bump("poses")
 
     def on_alignment(self, alignment: Alignment) -> None:
-        """Takes the newest alignment if it is of the selected pair."""
+        """Takes the newest alignment of a pair.
+
+        Raises:
+            CodecError: there are more pairs than any fleet has: names may be anybody's invention.
+        """
+        pair = (alignment.view_i.robot, alignment.view_j.robot)
         with self._changed:
-            if (alignment.view_i.robot, alignment.view_j.robot) == self.pair:
-                self.alignment = alignment
+            if pair not in self._alignments and len(self._alignments) >= MAX_PAIRS:
+                raise CodecError(f"alignments of more than {MAX_PAIRS} pairs")
+            self._alignments[pair] = alignment
+            if pair == self.pair:
                 self._bump("alignment")
 
     def on_status(self, status: ServerStatus) -> None:

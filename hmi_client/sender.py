@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from hmi_client.model import Pair
 from hmi_client.session import OperatorSession
 from protocol.codec import encoding_of, pack
 from protocol.keys import Keys
@@ -24,7 +23,6 @@ class Sender:
         keys: the keys of the site.
         link: where it goes.
         on_image: takes images of the selected robots, and only of these, as they arrive.
-        on_selected: called with a newly selected pair.
     """
 
     def __init__(
@@ -33,13 +31,11 @@ class Sender:
         keys: Keys,
         link: Link,
         on_image: Callable[[Sample], None],
-        on_selected: Callable[[Pair], None],
     ) -> None:
         self._session = session
         self._keys = keys
         self._link = link
         self._on_image = on_image
-        self._on_selected = on_selected
         self._updates = link.latched(keys.updates(session.operator), block=True, history=100)
         self._selection = link.latched(keys.selection(session.operator), block=True)
         self._offered_s: dict[tuple[str, int], float] = {}
@@ -76,10 +72,7 @@ class Sender:
         frozen = selection.view_i is not None or selection.view_j is not None
         late = frozen and time.monotonic() - self._told_s >= RETELL_S
         if selection != self._told:
-            pair = (selection.i, selection.j) if selection.i and selection.j else None
-            self._want_images(pair or ())
-            if pair is not None:
-                self._on_selected(pair)
+            self._want_images(robot for robot in (selection.i, selection.j) if robot)
         elif server == self._told_to and not late:
             return
         self._selection.put(pack(selection), encoding_of(Selection))

@@ -62,7 +62,7 @@ class OperatorSession(Feed):
             pair = ordered_pair(a, b)
             if pair == self.pair:
                 return
-            self.pair, self.half, self.alignment = pair, None, None
+            self.pair, self.half = pair, None
             self._holding = None
             self._selected_s = self.clock()
             self._unreadable.clear()

@@ -19,6 +19,7 @@ from hmi_client.text.list_panel import ListPanel
 from hmi_client.text.look import CSS
 from hmi_client.text.map_panel import MapPanel
 from hmi_client.text.matrix_panel import MatrixPanel
+from hmi_client.text.pages import Page, WhyPages, events_text, help_text
 from hmi_client.text.panel import PanelMixin
 from hmi_client.text.status_panel import StatusPanel
 
@@ -47,6 +48,9 @@ class FleetApp(App[None]):
         Binding("c,escape", "cancel", "Cancel", id="cancel"),
         Binding("f", "freeze", "Freeze", id="freeze"),
         Binding("m", "maximise", "Max", id="maximise"),
+        Binding("y", "why", "Why", id="why"),
+        Binding("l", "events", "Events", id="events", show=False),
+        Binding("question_mark", "help", "Help", id="help"),
         Binding("q", "quit", "Quit", id="quit"),
         Binding("left_square_bracket", "threshold(-1)", "Hide", id="hide-more"),
         Binding("right_square_bracket", "threshold(1)", "Show", id="show-more"),
@@ -194,6 +198,33 @@ class FleetApp(App[None]):
     def action_panel(self, number: int) -> None:
         """The keys go to a panel: map, matrix, list, or one of the two images."""
         (self.map, self.matrix, self.list, *self.images)[number - 1].focus()
+
+    # ---- pages -----------------------------------------------------------------------------------
+
+    def action_help(self) -> None:
+        panels = (
+            ("Everywhere", self.BINDINGS),
+            ("Images", ImagePanel.BINDINGS),
+            ("Matrix", MatrixPanel.BINDINGS),
+            ("Map", MapPanel.BINDINGS),
+            ("List", ListPanel.BINDINGS),
+        )
+        keys = [(where, [b for b in of if isinstance(b, Binding)]) for where, of in panels]
+        self.push_screen(Page("keys and signs", lambda: help_text(keys)))
+
+    def action_events(self) -> None:
+        self.push_screen(Page("events, the newest first", lambda: events_text(self.session)))
+
+    def action_why(self) -> None:
+        """Why the robot under the matrix's cursor, or of the selected pair, is located or not."""
+        robots = self.session.robots()
+        if not robots:
+            self.notify("No robot is known yet.", timeout=3)
+            return
+        row = min(self.matrix.cursor[0], len(robots) - 1)
+        robot = self.session.pair[0] if self.session.pair else robots[row]
+        pages = WhyPages(self.session, robot if robot in robots else robots[row])
+        self.push_screen(Page("why is it located, or not", pages.text, pages.step))
 
     def action_undo(self) -> None:
         self.session.undo()

@@ -25,5 +25,16 @@ Screen { background: $fp-back; color: $fp-text; }
 .maximised #map, .maximised #middle { display: none; }
 .maximised #images { layout: horizontal; }
 #status { height: 3; }
+Page { align: center middle; }
+#page {
+    width: 90%;
+    height: 80%;
+    background: $fp-back;
+    color: $fp-text;
+    border: heavy $fp-focus;
+    border-title-color: $fp-focus;
+    border-subtitle-color: $fp-dim;
+    padding: 0 1;
+}
 Footer { background: $fp-why; }
 """

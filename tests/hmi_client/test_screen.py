@@ -11,6 +11,7 @@ from hmi_client.model import Picture
 from hmi_client.session import OperatorSession
 from hmi_client.text import palette
 from hmi_client.text.app import FleetApp
+from hmi_client.text.pages import Page
 from protocol.messages import Correspondence, PairCorrespondences, Question, Suggestion
 
 
@@ -398,3 +399,22 @@ def known_set(operator="anna"):
         revision=3,
     )
     return PairCorrespondences(i="r1", j="r2", revision=3, items=(item,), server_epoch=EPOCH)
+
+
+async def test_help_events_and_why_are_pages_that_go_away(session):
+    async with screen(session) as (app, pilot):
+        for key, said in (("?", "Shift-Tab"), ("l", "fleet solved"), ("y", "r1 is located")):
+            await press(pilot, key)
+            assert isinstance(app.screen, Page)
+            assert said in app.screen._text()
+            await press(pilot, "c")
+            assert not isinstance(app.screen, Page)
+
+
+async def test_the_reasons_of_every_robot_can_be_read(session):
+    async with screen(session) as (app, pilot):
+        await press(pilot, "y")
+        await press(pilot, "left")
+        assert "r6 is not located: alive, but no pair of it" in app.screen._text()
+        await press(pilot, "right", "right")
+        assert "r2 is located" in app.screen._text()
