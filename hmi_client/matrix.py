@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from hmi_client.model import Pair
 from protocol.keys import ordered_pair
@@ -11,6 +11,9 @@ from protocol.messages import FleetState, PairCell, Verdict
 
 HIDDEN, UNTRIED, THROUGH, SELF = "-", "·", "~", "╲"
 BOLD_SHARE = 0.05
+
+Quantity = Literal["rms", "regression", "overlap", "age", "verdict"]
+QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 
 
 @dataclass(frozen=True)
@@ -55,25 +58,56 @@ def is_shown(cell: PairCell, threshold_m: float) -> bool:
     return tried and cell.rmse_m is not None and cell.rmse_m <= threshold_m
 
 
-def matrix_of(fleet: FleetState, threshold_m: float) -> Matrix:
-    """The matrix of a fleet; the largest 5 % of the shown values, at least one, are bold."""
+def matrix_of(fleet: FleetState, threshold_m: float, quantity: Quantity = "rms") -> Matrix:
+    """The matrix of a fleet. Of errors, the largest 5 % of the shown ones, at least one, are bold,
+    and those above the threshold a hyphen; other quantities are shown of all pairs that were tried.
+    """
     robots = tuple(sorted((r.robot for r in fleet.robots), key=natural))
-    shown = {(c.i, c.j): c.rmse_m or 0.0 for c in fleet.pairs if is_shown(c, threshold_m)}
-    unit: Literal["cm", "m"] = "cm" if max(shown.values(), default=0.0) < 1.0 else "m"
-    ranked = sorted(shown, key=lambda pair: -shown[pair])
+    errors = {(c.i, c.j): c.rmse_m or 0.0 for c in fleet.pairs if is_shown(c, threshold_m)}
+    unit: Literal["cm", "m"] = "cm" if max(errors.values(), default=0.0) < 1.0 else "m"
+    ranked = sorted(errors, key=lambda pair: -errors[pair])
     bold = set(ranked[: max(1, int(BOLD_SHARE * len(ranked)))])
     cells = {}
     for cell in fleet.pairs:
         pair = (cell.i, cell.j)
         clicked = cell.correspondences > 0
-        if pair in shown:
-            text = f"{100 * shown[pair]:.1f}" if unit == "cm" else f"{shown[pair]:.2f}"
-            cells[pair] = Cell(text, pair in bold, cell.verdict, clicked)
-        else:
-            states = {"untried": UNTRIED, "through_others": THROUGH, "tried": HIDDEN}
+        if cell.state != "tried":
+            states = {"untried": UNTRIED, "through_others": THROUGH}
             cells[pair] = Cell(states[cell.state], clicked=clicked)
+        elif quantity in ("rms", "regression") and pair not in errors:
+            cells[pair] = Cell(HIDDEN, clicked=clicked)
+        else:
+            error = quantity in ("rms", "regression")
+            text = _text(cell, quantity, unit)
+            cells[pair] = Cell(text, error and pair in bold, cell.verdict, clicked)
     width = max((len(cell.text) for cell in cells.values()), default=1)
     return Matrix(robots, unit, cells, width, components_of(fleet))
+
+
+def title_of(quantity: Quantity, unit: str) -> str:
+    """What a matrix shows, with its unit."""
+    return {
+        "rms": f"errors (rms), {unit}",
+        "regression": "regression errors, m2",
+        "overlap": "overlap, %",
+        "age": "age, s",
+        "verdict": "verdicts",
+    }[quantity]
+
+
+def _text(cell: PairCell, quantity: Quantity, unit: str) -> str:
+    match quantity:
+        case "rms":
+            rmse_m = cell.rmse_m or 0.0
+            return f"{100 * rmse_m:.1f}" if unit == "cm" else f"{rmse_m:.2f}"
+        case "regression":
+            return f"{cell.regression_error_m2 or 0.0:.2g}"
+        case "overlap":
+            return f"{100 * cell.overlap:.0f}"
+        case "age":
+            return f"{cell.age_s:.0f}"
+        case "verdict":
+            return (cell.verdict or "?")[:4]
 
 
 def components_of(fleet: FleetState) -> dict[str, str]:

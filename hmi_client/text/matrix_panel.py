@@ -9,7 +9,16 @@ from textual.message import Message
 from textual.scroll_view import ScrollView
 from textual.strip import Strip
 
-from hmi_client.matrix import SELF, Cell, Matrix, length_text, matrix_of
+from hmi_client.matrix import (
+    QUANTITIES,
+    SELF,
+    Cell,
+    Matrix,
+    Quantity,
+    length_text,
+    matrix_of,
+    title_of,
+)
 from hmi_client.session import OperatorSession
 from hmi_client.text.palette import style
 from hmi_client.text.panel import PanelMixin
@@ -31,7 +40,8 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
     TOPICS = ("fleet", "selection", "settings")
     SLOW = ("fleet",)
     BINDINGS = [  # noqa: RUF012, as Textual declares it
-        Binding("enter", "choose", "Select"),
+        Binding("enter", "choose", "Select", id="select"),
+        Binding("t", "quantity", "Quantity", id="quantity"),
         Binding("up", "move(-1,0)", show=False),
         Binding("down", "move(1,0)", show=False),
         Binding("left", "move(0,-1)", show=False),
@@ -54,7 +64,8 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
         self.session = session
         self.cursor = (0, 1)
         self._matrix = Matrix((), "cm", {})
-        self._shows: tuple[str, int, float] | None = None
+        self.quantity: Quantity = "rms"
+        self._shows: tuple[str, int, float, Quantity] | None = None
         self._selected: tuple[str, str] | None = None
 
     # ---- geometry --------------------------------------------------------------------------------
@@ -83,9 +94,11 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
     def paint(self) -> list[Strip]:
         session = self.session
         fleet, threshold_m = session.fleet, session.threshold_m
-        if fleet is not None and self._shows != (fleet.server_epoch, fleet.n, threshold_m):
-            self._shows = (fleet.server_epoch, fleet.n, threshold_m)
-            self._matrix = matrix_of(fleet, threshold_m)
+        if fleet is not None:
+            shows = (fleet.server_epoch, fleet.n, threshold_m, self.quantity)
+            if self._shows != shows:
+                self._shows = shows
+                self._matrix = matrix_of(fleet, threshold_m, self.quantity)
         count = len(self._matrix.robots)
         size = Size(self.head + count * self.pitch, count + 1)
         if size != self.virtual_size:
@@ -93,8 +106,9 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
             self.call_after_refresh(self.repaint)  # only then can it scroll that far
         else:
             self._follow_selection()
-        self.title(f"errors (rms), {self._matrix.unit}")
-        self.subtitle(f"- above {length_text(threshold_m)}")
+        self.title(title_of(self.quantity, self._matrix.unit))
+        errors = self.quantity in ("rms", "regression")
+        self.subtitle(f"- above {length_text(threshold_m)}" if errors else "t shows errors again")
         rows = range(self.scroll_offset.y, self.scroll_offset.y + self.extent.height - 1)
         first = self.scroll_offset.x // self.pitch
         columns = range(first, min(count, first + self.extent.width // self.pitch + 2))
@@ -165,6 +179,12 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
         row, column = self.cursor
         self.cursor = (min(max(row + rows, 0), last), min(max(column + columns, 0), last))
         self._keep_in_sight()
+        self.repaint()
+
+    def action_quantity(self) -> None:
+        """Shows the next quantity: errors, regression errors, overlap, age, verdict."""
+        at = QUANTITIES.index(self.quantity)
+        self.quantity = QUANTITIES[(at + 1) % len(QUANTITIES)]
         self.repaint()
 
     def action_choose(self) -> None:

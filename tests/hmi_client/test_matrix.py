@@ -3,7 +3,17 @@
 import pytest
 from hmi_fakes import fleet
 
-from hmi_client.matrix import BOLD_SHARE, THROUGH, UNTRIED, length_text, matrix_of, natural
+from hmi_client.matrix import (
+    BOLD_SHARE,
+    HIDDEN,
+    QUANTITIES,
+    THROUGH,
+    UNTRIED,
+    length_text,
+    matrix_of,
+    natural,
+    title_of,
+)
 from protocol.messages import PairCell
 
 
@@ -76,6 +86,20 @@ def test_robots_are_sorted_by_number():
 
 def test_lengths_carry_their_unit():
     assert [length_text(x) for x in (0.0042, 0.032, 1.5)] == ["4.2 mm", "3.2 cm", "1.50 m"]
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES)
+def test_every_quantity_says_what_the_cell_holds(quantity):
+    cell = tried("r1", "r2", 0.05, overlap=0.5, age_s=7.2, regression_error_m2=1.25)
+    shown = matrix_of(fleet(4, pairs=(cell,)), 1.0, quantity).at("r1", "r2").text
+    words = {"rms": "5.0", "regression": "1.2", "overlap": "50", "age": "7", "verdict": "veri"}
+    assert shown == words[quantity] and title_of(quantity, "cm")
+
+
+def test_only_errors_hide_behind_the_threshold():
+    cell = tried("r1", "r2", 5.0, verdict="rejected", overlap=0.25)
+    texts = [matrix_of(fleet(4, pairs=(cell,)), 1.0, q).at("r1", "r2").text for q in QUANTITIES]
+    assert texts == [HIDDEN, HIDDEN, "25", "0", "reje"]
 
 
 def test_robots_of_one_component_without_a_cell_are_known_through_others():
