@@ -18,6 +18,7 @@ from protocol.errors import FleetPoseError
 START_S = 30.0
 KEY_EVERY_S = 0.4
 KEY_LOST_S = 2.0
+STALL_S = 4.0  # a terminal that hangs: how late is the screen afterwards
 WARM_S = 5.0  # before anything counts: imports, the first paint, caches
 STAND_IN = "stand-in"
 
@@ -43,6 +44,7 @@ class _Cost:
     cpu_s: float = 0.0
     rss_mb: float = 0.0
     key_ms: list[float] = field(default_factory=list)
+    stalled_ms: float | None = None
     lost_keys: int = 0
 
 
@@ -72,6 +74,7 @@ def run(options: HmiOptions, out: Path) -> dict[str, Any]:
         "key_to_screen_ms_p95": percentile(cost.key_ms, 95),
         "keys": len(cost.key_ms),
         "keys_lost": cost.lost_keys,
+        "key_after_stall_ms": cost.stalled_ms,
         "rss_mb": round(cost.rss_mb, 1),
         "pick_error_px_max_keys": by_keys,
         "pick_error_px_max_mouse": by_mouse,
@@ -114,11 +117,16 @@ def _measured(fleet: LocalFleet, options: HmiOptions) -> _Cost:
             progress.update(task, completed=passed_s)
             fleet.check()
         cost.seconds = time.monotonic() - began_s
+        cpu_s = client.cpu_s - cpu_s
         cost.bytes_out, cost.cpu_s, cost.rss_mb = (
             client.bytes_out,
-            client.cpu_s - cpu_s,
+            cpu_s,
             client.rss_mb,
         )
+        time.sleep(STALL_S)  # nobody reads: the terminal hangs
+        client.press(b"\x1b[A")
+        stalled_s = client.read_until(", 239 px", KEY_LOST_S)
+        cost.stalled_ms = None if stalled_s is None else 1000 * stalled_s
     return cost
 
 

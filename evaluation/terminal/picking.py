@@ -1,6 +1,7 @@
 """How exactly an operator picks: targets by keys and by mouse, in a real terminal."""
 
 import json
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from protocol.transport import wait_until
 
 _MARGIN_PX = 12
 SENT_S = 10.0
+SETTLE_S = 0.3  # a person looks before the second click
 SIZE = (640, 480)
 _FREEZE_KEYS = 40  # arrows that are sent at once
 
@@ -75,6 +77,7 @@ class Picker:
         image = self._shown(side)
         column, half_row = image.window(SIZE).half_cell(*target)
         self.terminal.click(image.left + column, image.top + half_row // 2)
+        time.sleep(SETTLE_S)  # an expected point may have put the cursor near the target before
         near = self._wait_cursor(side, target, image.window(SIZE).px_per_half + 1)
         loupe = arrange(image.columns, image.rows - 1, SIZE[0] / SIZE[1]).loupe
         assert loupe is not None
@@ -90,11 +93,18 @@ class Picker:
         return images_on(lines)[side]
 
     def _wait_cursor(self, side: int, target: Pixel, within_px: float = 0.6) -> ShownImage:
+        """The image once its cursor is there, twice the same: it may still be on its way."""
+        before: ShownImage | None = None
+
         def there(lines: Sequence[str]) -> bool:
+            nonlocal before
             images = images_on(lines)
             if len(images) != 2:
                 return False
-            return bool(np.abs(np.subtract(images[side].cursor, target)).max() <= within_px)
+            now, last = images[side], before
+            before = now
+            near = bool(np.abs(np.subtract(now.cursor, target)).max() <= within_px)
+            return near and last is not None and last.cursor == now.cursor
 
         return images_on(self.terminal.wait(there, f"the cursor at {target}"))[side]
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from textual.app import App, ComposeResult
 from textual.binding import Binding
 from textual.containers import Container, Horizontal, Vertical
+from textual.driver import Driver
 from textual.widgets import Footer
 
 from hmi_client.errors import OperatorError
@@ -14,6 +15,7 @@ from hmi_client.guide import Expected, Guide
 from hmi_client.proposals import Proposal, Proposals
 from hmi_client.session import OperatorSession
 from hmi_client.text import palette
+from hmi_client.text.driver import PatientDriver
 from hmi_client.text.image_panel import ImagePanel
 from hmi_client.text.list_panel import ListPanel
 from hmi_client.text.look import CSS
@@ -34,6 +36,7 @@ class FleetApp(App[None]):
         session: what is shown and commanded.
         fps: how often the session is looked at.
         failure: tells a bug of the connection, which ends the app.
+        driver: of the terminal; default: Textual's choice.
     """
 
     CSS = CSS
@@ -66,8 +69,9 @@ class FleetApp(App[None]):
         session: OperatorSession,
         fps: float = 10.0,
         failure: Callable[[], Exception | None] = lambda: None,
+        driver: type[Driver] | None = None,
     ) -> None:
-        super().__init__()
+        super().__init__(driver_class=driver)
         self.session = session
         self._period_s = 1.0 / fps
         self._failure = failure
@@ -104,10 +108,14 @@ class FleetApp(App[None]):
         self.set_interval(self._period_s, self.tick)
 
     def tick(self) -> None:
-        """Repaints the panels whose topics have changed."""
+        """Repaints the panels whose topics have changed; not while the terminal still draws what it
+        was given before: a slow one gets fewer pictures, not late ones.
+        """
         failure = self._failure()
         if failure is not None:
             raise failure
+        if isinstance(self._driver, PatientDriver) and self._driver.behind:
+            return
         now, revisions = time.monotonic(), self.session.revisions()
         changed = {topic for topic, n in revisions.items() if n != self._seen.get(topic, 0)}
         self._seen = revisions

@@ -15,6 +15,7 @@ from hmi_client.kept import KeptUpdates
 from hmi_client.session import OperatorSession
 from hmi_client.text import palette
 from hmi_client.text.app import FleetApp
+from hmi_client.text.driver import PatientDriver
 from protocol.keys import checked_name
 from protocol.logs import log_to_file
 
@@ -40,7 +41,7 @@ def run_screen(
     client.start_in_background()
     try:
         with own_stderr(log):
-            FleetApp(session, fps, lambda: client.failure).run()
+            FleetApp(session, fps, lambda: client.failure, PatientDriver).run()
     finally:
         client.close()
         if kept is not None:

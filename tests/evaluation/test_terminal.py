@@ -72,3 +72,4 @@ def test_picks_by_keys_and_mouse_are_within_a_pixel(tmp_path):
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["pick_error_px_max_keys"] <= 1 and summary["pick_error_px_max_mouse"] <= 1
     assert summary["keys"] > 3 and summary["keys_lost"] == 0
+    assert summary["key_after_stall_ms"] is not None  # a terminal that hung shows the present again
