@@ -6,11 +6,9 @@ Callbacks open what came and store it. Three threads work: one reads, one sends
 
 import logging
 import threading
-import time
 from collections.abc import Callable
 
 from hmi_client.arrivals import Arrived, opened, picture_in
-from hmi_client.deferred import Deferred
 from hmi_client.errors import PictureError
 from hmi_client.fetcher import Fetcher
 from hmi_client.model import Picture
@@ -33,8 +31,6 @@ from protocol.messages import (
 from protocol.transport import Link, Sample, Slots
 
 log = logging.getLogger(__name__)
-OPENED_EVERY_S = 0.2  # the state and the poses
-POLL_S = 0.05
 MAX_ROBOTS = 20_000  # names may be anybody's invention
 
 
@@ -54,7 +50,6 @@ class Client:
         self._open_link = open_link
         self._link: Link | None = None
         self._inbox: Slots[Arrived] = Slots()
-        self._deferred = Deferred()
         self._cameras: dict[str, CameraAnnouncement] = {}
         self._stop = threading.Event()
         self._threads: list[threading.Thread] = []
@@ -131,10 +126,10 @@ class Client:
     def _connect(self, link: Link) -> None:
         self._link = link
         operator = self.session.operator
-        for key in (self.keys.state, self.keys.poses):
-            link.on_latched(key, self._deferred.store)
         for key in (
+            self.keys.state,
             self.keys.status,
+            self.keys.poses,
             self.keys.correspondences("*", "*"),
             self.keys.receipts(operator),
             self.keys.camera("*"),
@@ -168,24 +163,10 @@ class Client:
         self._inbox.store(Arrived(sample.key, content))
 
     def _read(self) -> None:
-        opened_s = 0.0
         while not self._stop.is_set():
-            arrived = self._inbox.take(POLL_S)
+            arrived = self._inbox.take(0.5)
             if arrived is not None:
                 self._survive(arrived.key, lambda one=arrived: self._take(one.content))
-            if self._deferred and time.monotonic() - opened_s >= OPENED_EVERY_S:
-                opened_s = time.monotonic()
-                self._open_deferred()
-
-    def _open_deferred(self) -> None:
-        """Opens the newest state and poses; where one is damaged, the one before it."""
-        for samples in self._deferred.take():
-            for sample in samples:
-                try:
-                    self._take(opened(self.keys, sample))
-                    break
-                except FleetPoseError as error:
-                    self.session.drop(sample.key, error)
 
     def _survive(self, key: str, work: Callable[[], None]) -> None:
         try:

@@ -2,9 +2,7 @@
 
 from hmi_fakes import view, wait_for
 
-from hmi_client.deferred import Deferred
 from hmi_client.session import OperatorSession
-from protocol.slots import Sample
 
 
 def ready(client_of, serve, **options):
@@ -110,14 +108,3 @@ def test_garbage_is_counted_and_harmless(client_of, serve):
     wait_for(lambda: client.drops["not msgpack"] == 1)
     n = session.fleet.n
     wait_for(lambda: session.fleet.n > n)
-
-
-def test_of_a_steady_stream_the_newest_is_taken_first_and_few_are_kept():
-    deferred = Deferred()
-    for n in range(10):
-        deferred.store(Sample("state", bytes([n]), ""))
-        deferred.store(Sample("pose/r1", bytes([n]), ""))
-    taken = {samples[0].key: [s.payload[0] for s in samples] for samples in deferred.take()}
-    assert set(taken) == {"state", "pose/r1"}
-    assert all(n[0] == 9 and len(n) <= 4 and n == sorted(n, reverse=True) for n in taken.values())
-    assert not deferred and not list(deferred.take())
