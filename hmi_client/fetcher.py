@@ -38,16 +38,16 @@ class Fetcher:
         self._session = session
         self._keys = keys
         self._link = link
-        self._next_s: dict[tuple[str, str], float] = {}
+        self._next_s: dict[str, float] = {}
 
     def run(self, stop: threading.Event) -> None:
         """Asks until told to stop."""
         while not stop.is_set():
             seen = self._session.revisions()
             for view in self._session.wanted_pictures():
-                self._try("picture", view, lambda view=view: self._fetch_held(view))
+                self._try(f"picture {view}", view.robot, lambda view=view: self._fetch_held(view))
             for view in self._session.wanted_depths():
-                self._try("depths", view, lambda view=view: self._fetch_depths(view))
+                self._try(f"depths {view}", view.robot, lambda view=view: self._fetch_depths(view))
             if self._session.seconds_selected >= PATIENCE_S:
                 for robot in self._session.pair or ():
                     self._fetch_newest(robot)
@@ -71,18 +71,18 @@ class Fetcher:
 
     # ---- inside ----------------------------------------------------------------------------------
 
-    def _try(self, what: str, view: ViewName, work: Callable[[], None]) -> None:
+    def _try(self, what: str, robot: str, work: Callable[[], None]) -> None:
         """Not again and again: a robot that does not answer is left alone for a while."""
-        now, name = time.monotonic(), (what, str(view))
-        if now < self._next_s.get(name, 0.0):
+        now = time.monotonic()
+        if now < self._next_s.get(what, 0.0):
             return
         if len(self._next_s) > _MOST_TRIES:
             self._next_s.clear()
-        self._next_s[name] = now + RETRY_S
+        self._next_s[what] = now + RETRY_S
         try:
             work()
         except FleetPoseError as error:
-            self._session.drop(self._keys.view(view.robot), error)
+            self._session.drop(self._keys.view(robot), error)
 
     def _fetch_newest(self, robot: str) -> None:
         """Asks for what the server has newest, so that one can pick in it at once."""
@@ -99,7 +99,7 @@ class Fetcher:
                 self._session.on_unreadable(robot, str(error))
                 raise
 
-        self._try("newest", view.model_copy(update={"seq": 0}), fetch)
+        self._try(f"newest {robot}", robot, fetch)
 
     def _fetch_held(self, view: ViewName) -> None:
         try:

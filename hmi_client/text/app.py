@@ -199,7 +199,9 @@ class FleetApp(App[None]):
                 panel.move_to(*pixel)
 
     def on_list_panel_shown(self, shown: ListPanel.Shown) -> None:
+        """Shows the views that an entry was clicked in, the cursors at its pixels."""
         pick = shown.entry.pick
+        self.session.hold(pick.view_i, pick.view_j)
         for panel, pixel in zip(self.images, (pick.pixel_i, pick.pixel_j), strict=True):
             panel.move_to(*pixel)
 

@@ -138,14 +138,14 @@ class ImagePanel(Panel):
         lines = picture.strips()
         if place.loupe is None:
             self._loupe = None
-            return [*lines, self._about(columns)]
+            return [*lines, self._about(columns, over)]
         left, _, loupe_columns, loupe_rows = place.loupe
         loupe = self._paint_loupe(over, loupe_columns, loupe_rows)
         if left == 0:
-            return [*lines, *loupe, self._about(columns)]
+            return [*lines, *loupe, self._about(columns, over)]
         gap = Strip.blank(1, style("dim"))
         beside = [Strip.join([a, gap, b]) for a, b in zip(lines, loupe, strict=True)]
-        return [*beside, self._about(columns)]
+        return [*beside, self._about(columns, over)]
 
     def _steady(self, part: str, image: Image, window: Window) -> Image:
         """What a window shows of the image, without flickering; exactly while it is held still."""
@@ -161,7 +161,7 @@ class ImagePanel(Panel):
         keeping = self.session.keeping(self._robot) if self._robot else ""
         self.title(f"{self._robot or 'no robot'}{frozen}{keeping and '  ' + keeping}")
 
-    def _about(self, columns: int) -> Strip:
+    def _about(self, columns: int, over: Overlay) -> Strip:
         """The last line: where the cursor is and in which view. A border's text would do, but
         setting one repaints the whole panel.
         """
@@ -169,7 +169,8 @@ class ImagePanel(Panel):
         place = f"{u:.0f}, {v:.0f} px" + (f"  x{self.zoom:.1f}" if self.zoom > 1 else "")
         notice = self.session.picture_notice(self._robot) if self._robot else ""
         view = f"view {self._view.seq}" if self._view else ""
-        text = (notice or place + self._depth_note())[:columns]
+        expected = "" if over.expected is None else f"  ◇ {over.expected.how}"
+        text = (notice or place + self._depth_note() + expected)[:columns]
         shown = f"{text.ljust(columns - len(view) - 1)} {view}" if notice == "" else text
         return Strip([Segment(shown[:columns].ljust(columns), style("dim"))], columns)
 
@@ -196,7 +197,8 @@ class ImagePanel(Panel):
 
     def _overlay(self) -> Overlay:
         half = self.session.half
-        expected = self.expected if half is not None and half.side != self.side else None
+        here = half is not None and self.expected is not None and self.expected.side == self.side
+        expected = self.expected if here else None
         return Overlay(
             view=self._view,
             side=self.side,
@@ -310,10 +312,16 @@ class ImagePanel(Panel):
         self.post_message(self.Suggestion(step))
 
     def action_move_point(self) -> None:
-        """The nearest correspondence moves to the cursor."""
+        """The nearest correspondence moves to the cursor; only in the view that it was clicked in,
+        since the same pixel of another moment shows something else.
+        """
         entry, pair = self.nearest(), self.session.pair
         if entry is None or entry.id is None or pair is None:
             self.notify("There is no confirmed point here to move.", timeout=3)
+            return
+        if not self._overlay().is_of_this_view(entry):
+            what = f"Point {entry.id} was clicked in another view: Enter in the list shows that."
+            self.notify(what, severity="warning", timeout=4)
             return
         try:
             self.session.move(pair, entry.id, self.side, self.cursor)

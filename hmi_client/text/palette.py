@@ -7,7 +7,7 @@ what matters is said by a character as well. `mono` is for NO_COLOR: bold and re
 import os
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Literal, get_args
+from typing import Literal
 
 from rich.style import Style
 
@@ -127,6 +127,3 @@ def variables() -> dict[str, str]:
     """The roles as variables of the style sheet."""
     shown = {f"fp-{role.replace(' ', '-')}": tone(role) for role in _DARK}
     return {name: "ansi_default" if c == "default" else c for name, c in shown.items()}
-
-
-CHOICES = get_args(Choice)

@@ -9,8 +9,11 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+from hmi_fakes import fleet
 from hmi_server import FakeServer
+from screen_makers import Clock
 
+from hmi_client.session import OperatorSession
 from protocol.transport import SessionSettings, free_port, open_session
 
 
@@ -84,3 +87,15 @@ def client_of(router):
     for client in clients:
         client.close()
         assert client.failure is None
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def session(clock):
+    s = OperatorSession("anna", clock=clock)
+    s.on_fleet(fleet(6))
+    return s

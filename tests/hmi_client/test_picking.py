@@ -40,10 +40,6 @@ def dense(robot, hole=False):
     return Depths.of(cloud_view(robot, encode_depth(depth)))
 
 
-def picture(robot, image):
-    return Picture(view(robot), cv2.imencode(".png", image)[1].tobytes(), 1, 0.0)
-
-
 def jpeg(robot, image):
     encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 95])[1]
     return Picture(view(robot), encoded.tobytes(), 1, 0.0)

@@ -1,62 +1,11 @@
 """The text client, driven by keys and mouse through Textual's pilot."""
 
-from contextlib import asynccontextmanager
-
-import cv2
-import numpy as np
 import pytest
-from hmi_fakes import EPOCH, fleet, view
+from hmi_fakes import fleet, view
+from screen_makers import Clock, press, screen, selected, text
 
-from hmi_client.model import Picture
 from hmi_client.session import OperatorSession
-from hmi_client.text import palette
 from hmi_client.text.app import FleetApp
-from hmi_client.text.pages import Page
-from protocol.messages import Correspondence, PairCorrespondences, Question, Suggestion
-
-
-def picture(robot, seq=7, width=640, height=480):
-    image = np.full((height, width, 3), 90, np.uint8)
-    cv2.circle(image, (width // 2, height // 2), 60, (0, 0, 255), -1)
-    return Picture(view(robot, seq), cv2.imencode(".jpg", image)[1].tobytes(), 1, 0.0)
-
-
-class Clock:
-    now = 0.0
-
-    def __call__(self):
-        return self.now
-
-
-@pytest.fixture
-def clock():
-    return Clock()
-
-
-@pytest.fixture
-def session(clock):
-    s = OperatorSession("anna", clock=clock)
-    s.on_fleet(fleet(6))
-    return s
-
-
-@asynccontextmanager
-async def screen(session, size=(160, 50)):
-    app = FleetApp(session)
-    async with app.run_test(size=size) as pilot:
-        app.tick()
-        await pilot.pause()
-        yield app, pilot
-
-
-def text(panel):
-    return "\n".join(strip.text for strip in panel._strips).replace("\u00a0", " ")
-
-
-async def press(pilot, *keys):
-    await pilot.press(*keys)
-    pilot.app.tick()
-    await pilot.pause()
 
 
 @pytest.mark.parametrize("size", [(160, 50), (100, 30), (60, 20)])
@@ -135,14 +84,6 @@ async def test_n_and_p_walk_through_the_questions(session):
         assert session.pair == ("r1", "r2")
         await press(pilot, "p")
         assert session.pair == ("r5", "r6")
-
-
-async def selected(session, pilot, **size):
-    session.select("r1", "r2")
-    session.on_picture(picture("r1", **size)), session.on_picture(picture("r2", **size))
-    pilot.app.tick()
-    pilot.app.images[0].focus()
-    await pilot.pause()
 
 
 @pytest.mark.parametrize("size", [(160, 50), (100, 30)])
@@ -279,142 +220,3 @@ async def test_a_bug_of_the_connection_ends_the_app(session):
     with pytest.raises(ZeroDivisionError):
         async with app.run_test() as pilot:
             await pilot.pause(0.5)
-
-
-def asked_with_suggestions(*pixels):
-    """A fleet whose first question comes with points to confirm."""
-    suggestions = tuple(Suggestion(pixel_i=a, pixel_j=b) for a, b in pixels)
-    i, j = view("r1"), view("r2")
-    question = Question(
-        i="r1", j="r2", view_i=i, view_j=j, reason="weak", gain=0.1, suggestions=suggestions
-    )
-    return fleet(6, n=2, questions=(question,))
-
-
-async def test_tab_shows_a_suggestion_accepts_it_corrected_and_shift_tab_skips(session):
-    session.on_fleet(asked_with_suggestions(((100, 50), (110, 60)), ((300, 200), (310, 210))))
-    async with screen(session) as (app, pilot):
-        await selected(session, pilot)
-        await press(pilot, "tab")
-        assert "Suggestion 1 of 2" in text(app.status)
-        assert [panel.cursor for panel in app.images] == [(100, 50), (110, 60)]
-        await press(pilot, "shift+tab")
-        assert "Suggestion 2 of 2" in text(app.status) and not session.open_updates()
-        await press(pilot, "right", "tab")
-        [update] = session.open_updates()
-        assert (tuple(update.pixel_i), tuple(update.pixel_j)) == ((301, 200), (310, 210))
-        assert (update.view_i, update.view_j) == (view("r1"), view("r2"))
-        assert "Suggestion" not in text(app.status) and not session.frozen
-
-
-async def test_suggestions_in_an_older_view_wait_for_its_pictures(session):
-    session.on_fleet(asked_with_suggestions(((100, 50), (110, 60))))
-    async with screen(session) as (app, pilot):
-        session.select("r1", "r2")
-        session.on_fleet(fleet(6, n=3, seq=9, questions=session.fleet.questions))
-        session.on_picture(picture("r1", 9)), session.on_picture(picture("r2", 9))
-        app.tick()
-        app.images[0].focus()
-        await press(pilot, "tab")
-        assert "Fetching the two images" in text(app.status)
-        assert session.wanted_pictures() == (view("r1"), view("r2"))
-        for robot in ("r1", "r2"):
-            session.on_fetched(picture(robot))
-        await press(pilot)
-        assert "Suggestion 1 of 1" in text(app.status)
-        assert app.images[0]._picture.view == view("r1")
-        await press(pilot, "c")
-        assert "Suggestion" not in text(app.status) and not session.frozen
-
-
-async def test_a_label_brings_the_cursor_to_what_stands_out(session):
-    async with screen(session) as (app, pilot):
-        await selected(session, pilot)
-        await press(pilot, "g")
-        hints = app.images[0].hints
-        assert hints is not None and len(hints.places) > 1 and session.frozen
-        label, place = next(iter(hints.places.items()))
-        await press(pilot, *label)
-        assert app.images[0].hints is None
-        assert app.images[0].cursor == pytest.approx(place)
-        await press(pilot, "g", "escape")
-        assert app.images[0].hints is None
-
-
-async def test_the_other_cursor_goes_where_the_point_looks_alike(session):
-    async with screen(session) as (app, pilot):
-        await selected(session, pilot)
-        app.images[0].move_to(320, 180)  # the rim of the disc
-        await press(pilot, "s", "space")
-        assert app.focused is app.images[1]
-        expected = app.images[1].expected
-        if expected is not None:
-            assert app.images[1].cursor == pytest.approx(expected.pixel)
-
-
-async def test_a_moved_point_is_shown_as_unconfirmed_and_named_in_the_update(session):
-    session.on_correspondences(known_set())
-    async with screen(session) as (app, pilot):
-        await selected(session, pilot)
-        app.images[1].focus()
-        app.images[1].move_to(50, 60)
-        await press(pilot, "v")
-        [update] = session.open_updates()
-        assert (update.action, update.correspondence, update.base_revision) == ("move", 4, 3)
-        assert (tuple(update.pixel_i), tuple(update.pixel_j)) == ((10, 10), (50, 60))
-        assert "pending" in text(app.list)
-        await press(pilot, "v")
-        assert len(session.open_updates()) == 1  # not again while it is on its way
-
-
-async def test_the_work_of_another_operator_carries_a_name(session):
-    session.on_correspondences(known_set(operator="bob"))
-    async with screen(session) as (app, pilot):
-        await selected(session, pilot)
-        assert "bob" in text(app.list)
-
-
-@pytest.mark.parametrize("theme", ["dark", "light", "mono"])
-async def test_every_theme_shows_the_same_texts(session, theme):
-    palette.use(theme)
-    try:
-        async with screen(session) as (app, pilot):
-            await selected(session, pilot)
-            assert "r5?" in text(app.map) and "320, 240 px" in text(app.images[0])
-            backs = {s.style.bgcolor.name for strip in app.map._strips for s in strip}
-            assert (backs == {"default"}) == (theme == "mono")
-    finally:
-        palette.use("dark")
-
-
-def known_set(operator="anna"):
-    item = Correspondence(
-        id=4,
-        operator=operator,
-        view_i=view("r1"),
-        view_j=view("r2"),
-        pixel_i=(10, 10),
-        pixel_j=(20, 20),
-        status="accepted",
-        revision=3,
-    )
-    return PairCorrespondences(i="r1", j="r2", revision=3, items=(item,), server_epoch=EPOCH)
-
-
-async def test_help_events_and_why_are_pages_that_go_away(session):
-    async with screen(session) as (app, pilot):
-        for key, said in (("?", "Shift-Tab"), ("l", "fleet solved"), ("y", "r1 is located")):
-            await press(pilot, key)
-            assert isinstance(app.screen, Page)
-            assert said in app.screen._text()
-            await press(pilot, "c")
-            assert not isinstance(app.screen, Page)
-
-
-async def test_the_reasons_of_every_robot_can_be_read(session):
-    async with screen(session) as (app, pilot):
-        await press(pilot, "y")
-        await press(pilot, "left")
-        assert "r6 is not located: alive, but no pair of it" in app.screen._text()
-        await press(pilot, "right", "right")
-        assert "r2 is located" in app.screen._text()
