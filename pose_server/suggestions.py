@@ -18,14 +18,13 @@ def with_suggestions(site: Site, asked: tuple[Question, ...]) -> tuple[Question,
     """The questions, the first of them with points to confirm in the views that they are about:
     those of now where a robot has not moved since, so that it still has the image.
     """
-    return (
-        tuple(_suggesting(site, q) for q in asked[:_WITH_SUGGESTIONS]) + asked[_WITH_SUGGESTIONS:]
-    )
+    first, rest = asked[:_WITH_SUGGESTIONS], asked[_WITH_SUGGESTIONS:]
+    return (*(_suggesting(site, question) for question in first), *rest)
 
 
 def _suggesting(site: Site, question: Question) -> Question:
     views, pixels = _matches(site, question)
-    if views[0] not in site.views or views[1] not in site.views:
+    if not len(pixels) or views[0] not in site.views or views[1] not in site.views:
         return question
     view_i, view_j = (_of_now(site, view) for view in views)
     suggestions = tuple(Suggestion(pixel_i=row[:2], pixel_j=row[2:]) for row in pixels[:_MOST])
