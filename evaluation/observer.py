@@ -192,6 +192,8 @@ class Observer:
                 handler(message, received_s, len(sample.payload))
 
     def _on_view(self, view: View, received_s: float, size: int) -> None:
+        if str(view.name) in self._views_by_name:
+            return  # a repeat
         seen = SeenView(view, digest_of(view.cloud), received_s, size)
         self._views[view.name.robot] = seen
         self._views_by_name[str(view.name)] = seen

@@ -60,7 +60,8 @@ class Counts:
     def __init__(self, fleet: LocalFleet, observer: Observer, plan: FleetPlan) -> None:
         self._fleet, self._observer, self._plan = fleet, observer, plan
         self._before: Counter[str] = Counter()
-        self._before = self.now()
+        self._replaced_before = 0
+        self._before, self._replaced_before = self.now(), self.replaced()
 
     def now(self) -> Counter[str]:
         """By reader, since the beginning."""
@@ -76,8 +77,13 @@ class Counts:
         return found
 
     def replaced(self) -> int:
-        """Views that were overtaken before they were read, good and bad."""
-        return self._observer.statuses[-1][1].drops.get("newer_view", 0)
+        """Views that were overtaken before they were read, good and bad, since the beginning."""
+        drops = self._observer.statuses[-1][1].drops
+        return drops.get("newer_view", 0) - self._replaced_before
+
+    def missing(self, sent: Sent) -> int:
+        """How many of those sent no reader has counted."""
+        return sum((sent.by_reader - self.now()).values())
 
 
 def run(messages: int, out: Path, seed: int = 0) -> dict[str, Any]:
@@ -134,15 +140,13 @@ def _fuzz(fleet: LocalFleet, scratch: Path, messages: int, chance: random.Random
         journal = scratch / "state" / "journal.sqlite3"
         before = fingerprint(told, observer, journal)
         counts = Counts(fleet, observer, plan)
-        replaced = counts.replaced()
         began_s = time.monotonic()
         sent = _fire(fleet, link, keys, targets, counts, messages, chance)
         seconds = time.monotonic() - began_s
         states = observer.states_heard
         wait_until(lambda: observer.states_heard > states + 4, COUNTED_WITHIN_S)
         found = counts.now()
-        missing = sum((sent.by_reader - found).values())
-        overtaken = min(counts.replaced() - replaced, missing)
+        overtaken = min(counts.replaced(), counts.missing(sent))
         different = changes(before, fingerprint(told, observer, journal))
         ended = fleet.exited()
         for name in ("client", *plan.names, "server"):
@@ -278,9 +282,9 @@ def _bad_token(link: Link, keys: Keys, number: int) -> None:
 
 
 def _wait_counted(fleet: LocalFleet, sent: Sent, counts: Counts) -> None:
-    """Waits until every reader has counted what it was sent, or will not in time."""
+    """Waits until every reader has counted what it was sent and got, or will not in time."""
     wait_until(
-        lambda: bool(fleet.exited()) or not sent.by_reader - counts.now(),
+        lambda: bool(fleet.exited()) or counts.missing(sent) <= counts.replaced(),
         COUNTED_WITHIN_S,
         poll_s=0.1,
     )
