@@ -8,30 +8,19 @@ import logging
 import threading
 from collections.abc import Callable
 
-from hmi_client.arrivals import Arrived, opened, picture_in
-from hmi_client.errors import PictureError
+from hmi_client.arrivals import Arrived
 from hmi_client.fetcher import Fetcher
+from hmi_client.intake import Intake
 from hmi_client.model import Picture
 from hmi_client.sender import Sender
 from hmi_client.session import OperatorSession
-from protocol.base import Message
 from protocol.drops import Drops
-from protocol.errors import CodecError, FleetPoseError, UnreachableError
+from protocol.errors import FleetPoseError, UnreachableError
 from protocol.keys import Keys
-from protocol.messages import (
-    Alignment,
-    CameraAnnouncement,
-    FleetState,
-    PairCorrespondences,
-    Receipts,
-    RobotPose,
-    ServerStatus,
-    ViewName,
-)
+from protocol.messages import ViewName
 from protocol.transport import Link, Sample, Slots
 
 log = logging.getLogger(__name__)
-MAX_ROBOTS = 20_000  # names may be anybody's invention
 
 
 class Client:
@@ -49,8 +38,8 @@ class Client:
         self.failure: Exception | None = None
         self._open_link = open_link
         self._link: Link | None = None
+        self._intake = Intake(session, keys)
         self._inbox: Slots[Arrived] = Slots()
-        self._cameras: dict[str, CameraAnnouncement] = {}
         self._stop = threading.Event()
         self._threads: list[threading.Thread] = []
 
@@ -148,60 +137,19 @@ class Client:
         """Opens what came, in the subscriber's thread: so nothing damaged takes the place of
         something good that waits to be read.
         """
-        self._survive(sample.key, lambda: self._store(sample))
-
-    def _store(self, sample: Sample) -> None:
-        match self.keys.chunks(sample.key):
-            case ["robot", robot, "image"]:
-                content = self._readable(robot, lambda: self._picture(robot, sample))
-            case _:
-                content = opened(self.keys, sample)
-        if isinstance(content, CameraAnnouncement):
-            if content.robot not in self._cameras and len(self._cameras) >= MAX_ROBOTS:
-                raise CodecError(f"cameras of more than {MAX_ROBOTS} robots")
-            self._cameras[content.robot] = content
-        self._inbox.store(Arrived(sample.key, content))
+        self._survive(sample.key, lambda: self._inbox.store(self._intake.open(sample)))
 
     def _read(self) -> None:
         while not self._stop.is_set():
             arrived = self._inbox.take(0.5)
             if arrived is not None:
-                self._survive(arrived.key, lambda one=arrived: self._take(one.content))
+                self._survive(arrived.key, lambda one=arrived: self._intake.tell(one.content))
 
     def _survive(self, key: str, work: Callable[[], None]) -> None:
         try:
             work()
         except FleetPoseError as error:
             self.session.drop(key, error)
-
-    def _take(self, content: Message | Picture) -> None:
-        session = self.session
-        match content:
-            case FleetState():
-                session.on_fleet(content)
-            case ServerStatus():
-                session.on_status(content)
-            case RobotPose():
-                session.on_pose(content)
-            case Alignment():
-                session.on_alignment(content)
-            case PairCorrespondences():
-                session.on_correspondences(content)
-            case Receipts():
-                session.on_receipts(content)
-            case Picture():
-                session.on_picture(content)
-
-    def _readable(self, robot: str, make: Callable[[], Picture]) -> Picture:
-        """A picture, or tells the operator why there is none."""
-        try:
-            return make()
-        except (CodecError, PictureError) as error:
-            self.session.on_unreadable(robot, str(error))
-            raise
-
-    def _picture(self, robot: str, sample: Sample) -> Picture:
-        return picture_in(sample, robot, self._cameras.get(robot), self.session.clock())
 
     # ---- asking for views ------------------------------------------------------------------------
 

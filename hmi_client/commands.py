@@ -1,17 +1,20 @@
-"""The command `hmi-client`: screen, screenshot, watch, status, why and correspondences."""
+"""The command `hmi-client`: screen, screenshot, record, replay, watch, status, why and
+correspondences.
+"""
 
 import json
 import sys
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from hmi_client import connection as c
-from hmi_client import correspondence_commands
+from hmi_client import correspondence_commands, recording_commands
 from hmi_client.errors import OperatorError
+from hmi_client.options import Fps, LogFile, Theme, Threshold
 
 ALIGNMENTS_S = 1.0  # they are latched: what has not come by then was never told
 
@@ -21,15 +24,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(correspondence_commands.app, name="correspondences")
-
-Theme = Annotated[
-    Literal["auto", "dark", "light", "mono"],
-    typer.Option(
-        help="colours; auto: mono with NO_COLOR, light or dark by COLORFGBG, else dark",
-        envvar="FLEETPOSE_HMI_THEME",
-    ),
-]
-Threshold = Annotated[float, typer.Option(help="hide errors above it, metres", min=0.0001)]
+app.add_typer(recording_commands.app)
 
 
 @app.callback(invoke_without_command=True)
@@ -45,10 +40,10 @@ def default(context: typer.Context) -> None:
 
 @app.command()
 def screen(
-    fps: Annotated[float, typer.Option(help="looks at the state per second", min=1, max=60)] = 10.0,
+    fps: Fps = 10.0,
     threshold: Threshold = 1.0,
     theme: Theme = "auto",
-    log: Annotated[Path | None, typer.Option(help="log file; default in the state folder")] = None,
+    log: LogFile = None,
     connect: c.Connect = c.DEFAULT_CONNECT,
     site: c.Site = c.DEFAULT_SITE,
     config: c.Config = None,

@@ -14,6 +14,7 @@ from hmi_client.errors import NoServerError
 
 if TYPE_CHECKING:
     from hmi_client.client import Client
+    from hmi_client.recording.file import Recorder
     from hmi_client.session import OperatorSession
 
 SERVER_TIMEOUT_S = 5.0
@@ -50,16 +51,29 @@ class Connection:
     def of(cls, connect: list[str], site: str, config: Path | None, operator: str) -> "Connection":
         return cls(tuple(connect), site, config, operator or default_operator())
 
-    def client(self, session: "OperatorSession", timeout_s: float = SERVER_TIMEOUT_S) -> "Client":
-        """A client that is not started yet; opening the link gives up after the timeout."""
+    def client(
+        self,
+        session: "OperatorSession",
+        timeout_s: float = SERVER_TIMEOUT_S,
+        recorder: "Recorder | None" = None,
+    ) -> "Client":
+        """A client that is not started yet; opening the link gives up after the timeout. With a
+        recorder, all that passes is recorded.
+        """
         from hmi_client.client import Client
+        from hmi_client.recording.link import RecordedLink
         from protocol.keys import Keys
         from protocol.transport import Link, SessionSettings, open_session
 
         settings = SessionSettings(
             connect=self.connect, config_file=self.config, timeout_s=timeout_s
         )
-        return Client(session, Keys(self.site), lambda: Link(open_session(settings)))
+
+        def open_link() -> Link:
+            link = Link(open_session(settings))
+            return link if recorder is None else RecordedLink(link, recorder)
+
+        return Client(session, Keys(self.site), open_link)
 
     @contextmanager
     def server(self) -> Iterator["OperatorSession"]:

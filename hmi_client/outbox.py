@@ -71,6 +71,15 @@ class Outbox:
         if kept is not None:
             self._take_up(kept)
 
+    def begin_after(self, n: int) -> None:
+        """Numbers from n + 1 on: of a session that is known from there."""
+        self.confirmed = self._last = n
+
+    @property
+    def last(self) -> int:
+        """Number of the last update, 0 before the first."""
+        return self._last
+
     @property
     def open(self) -> tuple[Ticket, ...]:
         """Tickets that no receipt covers yet, in order."""

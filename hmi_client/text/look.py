@@ -25,6 +25,7 @@ Screen { background: $fp-back; color: $fp-text; }
 .maximised #map, .maximised #middle { display: none; }
 .maximised #images { layout: horizontal; }
 #status { height: 3; }
+#play { height: 1; }
 ToastRack { align: left bottom; }
 Page { align: center middle; }
 #page {

@@ -6,12 +6,13 @@ import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stderr
+from contextlib import ExitStack, contextmanager, redirect_stderr
 from pathlib import Path
 
 from hmi_client.connection import Connection
 from hmi_client.errors import OperatorError
 from hmi_client.kept import KeptUpdates
+from hmi_client.recording.file import Recorder
 from hmi_client.session import OperatorSession
 from hmi_client.text import palette
 from hmi_client.text.app import FleetApp
@@ -30,22 +31,48 @@ def run_screen(
     threshold_m: float,
     log: Path | None,
     theme: palette.Choice = "auto",
+    record: Path | None = None,
 ) -> None:
-    """Runs the app until the operator quits; it also starts without a router and waits for one."""
+    """Runs the app until the operator quits; it also starts without a router and waits for one.
+
+    Args:
+        where: the fleet and the operator.
+        fps: how often the session is looked at.
+        threshold_m: errors above it are hidden.
+        log: the log file; default: in the state folder.
+        theme: the colours.
+        record: a file that all messages are recorded in.
+
+    Raises:
+        OperatorError: the log or the recording cannot be written.
+    """
     palette.use(palette.theme_for(theme))
+    with ExitStack() as closing:
+        closing.enter_context(own_screen(log))
+        kept = own_updates(where)
+        if kept is not None:
+            closing.callback(kept.close)
+        recorder = Recorder(record, where.site, where.operator) if record is not None else None
+        if recorder is not None:
+            closing.callback(recorder.close)
+        session = OperatorSession(where.operator, threshold_m=threshold_m, kept=kept)
+        client = where.client(session, RETRY_TIMEOUT_S, recorder)
+        closing.callback(client.close)
+        client.start_in_background()
+        FleetApp(session, fps, lambda: client.failure, PatientDriver).run()
+    if recorder is not None:
+        print(recorder.report())
+
+
+@contextmanager
+def own_screen(log: Path | None) -> Iterator[None]:
+    """The terminal is the screen's alone; what else is said goes to the log (default: in the state
+    folder).
+    """
     log = log or default_log()
     own_log(log)
-    kept = own_updates(where)
-    session = OperatorSession(where.operator, threshold_m=threshold_m, kept=kept)
-    client = where.client(session, RETRY_TIMEOUT_S)
-    client.start_in_background()
-    try:
-        with own_stderr(log):
-            FleetApp(session, fps, lambda: client.failure, PatientDriver).run()
-    finally:
-        client.close()
-        if kept is not None:
-            kept.close()
+    with own_stderr(log):
+        yield
 
 
 def take_screenshot(

@@ -1,0 +1,1 @@
+"""An operator's session in a file, and played from it."""
