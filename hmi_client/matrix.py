@@ -11,6 +11,7 @@ from protocol.messages import FleetState, PairCell, Verdict
 
 HIDDEN, UNTRIED, THROUGH, SELF = "-", "·", "~", "╲"
 BOLD_SHARE = 0.05
+_DOUBTS = {"verified": 0.25, "plausible": 0.5, "ambiguous": 0.75, "rejected": 1.0}
 
 Quantity = Literal["rms", "regression", "overlap", "age", "verdict"]
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
@@ -18,12 +19,15 @@ QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell's text; `verdict` of a shown value, `clicked` if the pair has correspondences."""
+    """One cell's text; `verdict` of a shown value, `clicked` if the pair has correspondences,
+    `level` the value's share of the largest shown one.
+    """
 
     text: str
     bold: bool = False
     verdict: Verdict | None = None
     clicked: bool = False
+    level: float | None = None
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,7 @@ def matrix_of(fleet: FleetState, threshold_m: float, quantity: Quantity = "rms")
     ranked = sorted(errors, key=lambda pair: -errors[pair])
     bold = set(ranked[: max(1, int(BOLD_SHARE * len(ranked)))])
     cells = {}
+    highest = max((_value(c, quantity) for c in fleet.pairs if (c.i, c.j) in errors), default=0.0)
     for cell in fleet.pairs:
         pair = (cell.i, cell.j)
         clicked = cell.correspondences > 0
@@ -79,7 +84,8 @@ def matrix_of(fleet: FleetState, threshold_m: float, quantity: Quantity = "rms")
         else:
             error = quantity in ("rms", "regression")
             text = _text(cell, quantity, unit)
-            cells[pair] = Cell(text, error and pair in bold, cell.verdict, clicked)
+            level = min(_value(cell, quantity) / highest, 1.0) if highest else 0.0
+            cells[pair] = Cell(text, error and pair in bold, cell.verdict, clicked, level)
     width = max((len(cell.text) for cell in cells.values()), default=1)
     return Matrix(robots, unit, cells, width, components_of(fleet))
 
@@ -93,6 +99,21 @@ def title_of(quantity: Quantity, unit: str) -> str:
         "age": "age, s",
         "verdict": "verdicts",
     }[quantity]
+
+
+def _value(cell: PairCell, quantity: Quantity) -> float:
+    """What is shown, as a number from 0 up."""
+    match quantity:
+        case "rms":
+            return cell.rmse_m or 0.0
+        case "regression":
+            return cell.regression_error_m2 or 0.0
+        case "overlap":
+            return cell.overlap
+        case "age":
+            return cell.age_s
+        case "verdict":
+            return _DOUBTS.get(cell.verdict or "rejected", 1.0)
 
 
 def _text(cell: PairCell, quantity: Quantity, unit: str) -> str:

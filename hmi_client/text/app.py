@@ -51,6 +51,7 @@ class FleetApp(App[None]):
         Binding("c,escape", "cancel", "Cancel", id="cancel"),
         Binding("f", "freeze", "Freeze", id="freeze"),
         Binding("m", "maximise", "Max", id="maximise"),
+        Binding("o", "overview", "Overview", id="overview"),
         Binding("y", "why", "Why", id="why"),
         Binding("l", "events", "Events", id="events", show=False),
         Binding("question_mark", "help", "Help", id="help"),
@@ -143,6 +144,8 @@ class FleetApp(App[None]):
         self.tick()
 
     def on_matrix_panel_chosen(self, chosen: MatrixPanel.Chosen) -> None:
+        if self.matrix.overview:
+            self.action_overview()
         self.session.select(chosen.a, chosen.b)
         self.images[0].focus()
         self.tick()
@@ -270,7 +273,15 @@ class FleetApp(App[None]):
         self.session.set_threshold(self.session.threshold_m * THRESHOLD_STEP**direction)
         self.tick()
 
+    def action_overview(self) -> None:
+        """All pairs at once, in colours, in place of the other panels; or these again."""
+        self.matrix.overview = shown = not self.matrix.overview
+        self.query_one("#body").set_class(shown, "overview").remove_class("maximised")
+        self.matrix.focus()
+
     def action_maximise(self) -> None:
+        if self.matrix.overview:
+            self.action_overview()
         self.query_one("#body").toggle_class("maximised")
         if self.focused in (self.map, self.matrix, self.list):
             self.images[0].focus()

@@ -4,6 +4,7 @@ Colours are cut to 5 bit per channel: that makes runs of equal cells longer and 
 cached. Every style has its own background, because strips get none from their widget.
 """
 
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -109,6 +110,33 @@ def steadied(image: Image, shown: Image | None, noise: int) -> Image:
     return np.where((off > noise)[..., None], image, shown)
 
 
+@dataclass(frozen=True)
+class Rows:
+    """The strips of an image from top to bottom, and what each was made of."""
+
+    keys: list[Hashable]
+    by_key: dict[Hashable, Strip]
+
+    @classmethod
+    def of(
+        cls, keys: list[Hashable], make: Callable[[int], Strip], before: "Rows | None"
+    ) -> "Rows":
+        """Makes only the strips that were not there before."""
+        known = before.by_key if before is not None else {}
+        by_key = {key: known.get(key) or make(row) for row, key in enumerate(keys)}
+        return cls(keys, by_key)
+
+    @property
+    def strips(self) -> list[Strip]:
+        return [self.by_key[key] for key in self.keys]
+
+    def beside(self, right: "Rows", gap: Strip, before: "Rows | None" = None) -> "Rows":
+        """Two images side by side."""
+        pairs = list(zip(self.strips, right.strips, strict=True))
+        keys: list[Hashable] = list(zip(self.keys, right.keys, strict=True))
+        return Rows.of(keys, lambda row: Strip.join([pairs[row][0], gap, pairs[row][1]]), before)
+
+
 class HalfBlocks:
     """An image of half cells on its way to strips; texts may be laid over it."""
 
@@ -139,33 +167,41 @@ class HalfBlocks:
                 behind = background or f"#{under:06x}"
                 self._over.setdefault(row, {})[x] = (character, style(colour, behind, True))
 
-    def strips(self) -> list[Strip]:
-        """One strip per row of cells; without colours in a scale of characters."""
-        columns, _ = self.size
-        if theme() == "mono":
-            return self._without_colours()
-        return [
-            Strip(self._row(top, bottom, self._over.get(row)), columns)
-            for row, (top, bottom) in enumerate(
-                zip(self.top.tolist(), self.bottom.tolist(), strict=True)
-            )
-        ]
+    def rows(self, before: Rows | None = None) -> Rows:
+        """One strip per row of cells; without colours in a scale of characters.
 
-    def _without_colours(self) -> list[Strip]:
-        both = np.stack((self.top, self.bottom))
+        Args:
+            before: the image that was shown before; rows that have not changed are its very
+                strips.
+        """
+        columns, rows = self.size
+        over = [self._over.get(row, {}) for row in range(rows)]
+        keys: list[Hashable] = [
+            (top.tobytes(), bottom.tobytes(), tuple(laid.items()))
+            for top, bottom, laid in zip(self.top, self.bottom, over, strict=True)
+        ]
+        draw = self._row if theme() != "mono" else self._row_without_colours
+
+        def make(row: int) -> Strip:
+            return Strip(
+                draw(self.top[row].tolist(), self.bottom[row].tolist(), over[row]), columns
+            )
+
+        return Rows.of(keys, make, before)
+
+    @staticmethod
+    def _row_without_colours(
+        top: list[int], bottom: list[int], over: dict[int, tuple[str, Style]]
+    ) -> list[Segment]:
+        both = np.array((top, bottom))
         grey = (both >> 16 & 255) * 0.3 + (both >> 8 & 255) * 0.59 + (both & 255) * 0.11
-        steps = (grey.mean(axis=0) / 256 * len(_GREYS)).astype(int)
-        rows = []
-        for row, line in enumerate(steps.tolist()):
-            over = self._over.get(row, {})
-            plain = [over.get(x, (_GREYS[step], style())) for x, step in enumerate(line)]
-            text, styles = [t for t, _ in plain], [s for _, s in plain]
-            rows.append(Strip(_runs(text, styles), len(line)))
-        return rows
+        steps = (grey.mean(axis=0) / 256 * len(_GREYS)).astype(int).tolist()
+        plain = [over.get(x, (_GREYS[step], style())) for x, step in enumerate(steps)]
+        return _runs([t for t, _ in plain], [s for _, s in plain])
 
     @staticmethod
     def _row(
-        top: list[int], bottom: list[int], over: dict[int, tuple[str, Style]] | None
+        top: list[int], bottom: list[int], over: dict[int, tuple[str, Style]]
     ) -> list[Segment]:
         segments: list[Segment] = []
         start = 0

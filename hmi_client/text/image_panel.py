@@ -16,7 +16,7 @@ from hmi_client.guide import Expected, Guide
 from hmi_client.model import Entry, Picture, PixelUV
 from hmi_client.session import OperatorSession
 from hmi_client.text.arrangement import Arrangement, arrange, fit
-from hmi_client.text.cells import HalfBlocks, Image, Window, sample, steadied
+from hmi_client.text.cells import HalfBlocks, Image, Rows, Window, sample, steadied
 from hmi_client.text.hints import LETTERS, MOST, Hints
 from hmi_client.text.overlay import Overlay
 from hmi_client.text.palette import style
@@ -84,6 +84,7 @@ class ImagePanel(Panel):
         self._loupe: Window | None = None
         self._arrangement: Arrangement | None = None
         self._shown_of: dict[str, tuple[Window, Image]] = {}
+        self._rows_of: dict[str, Rows] = {}
 
     # ---- what is shown ---------------------------------------------------------------------------
 
@@ -135,17 +136,22 @@ class ImagePanel(Panel):
         over = self._overlay()
         picture = HalfBlocks(self._steady("image", self._image, self._window))
         over.draw(picture, self._window)
-        lines = picture.strips()
+        rows = self._rows("image", picture)
         if place.loupe is None:
             self._loupe = None
-            return [*lines, self._about(columns, over)]
+            return [*rows.strips, self._about(columns, over)]
         left, _, loupe_columns, loupe_rows = place.loupe
         loupe = self._paint_loupe(over, loupe_columns, loupe_rows)
         if left == 0:
-            return [*lines, *loupe, self._about(columns, over)]
+            return [*rows.strips, *loupe.strips, self._about(columns, over)]
         gap = Strip.blank(1, style("dim"))
-        beside = [Strip.join([a, gap, b]) for a, b in zip(lines, loupe, strict=True)]
-        return [*beside, self._about(columns, over)]
+        both = self._rows_of["both"] = rows.beside(loupe, gap, self._rows_of.get("both"))
+        return [*both.strips, self._about(columns, over)]
+
+    def _rows(self, part: str, picture: HalfBlocks) -> Rows:
+        """The strips of a part; what has not changed is not made anew."""
+        rows = self._rows_of[part] = picture.rows(self._rows_of.get(part))
+        return rows
 
     def _steady(self, part: str, image: Image, window: Window) -> Image:
         """What a window shows of the image, without flickering; exactly while it is held still."""
@@ -217,7 +223,7 @@ class ImagePanel(Panel):
             return None
         return min(named, key=lambda item: math.dist(item[0], self.cursor))[1]
 
-    def _paint_loupe(self, over: Overlay, columns: int, rows: int) -> list[Strip]:
+    def _paint_loupe(self, over: Overlay, columns: int, rows: int) -> Rows:
         """One full-resolution pixel per half cell, the cursor in the middle."""
         assert self._image is not None
         u, v = (round(x) for x in self.cursor)
@@ -227,7 +233,7 @@ class ImagePanel(Panel):
         if depths is not None and depths.scattered:
             over = replace(over, depth=depths.within(u, v, columns // 2 + 1, rows + 1))
         over.draw_loupe(loupe, self._loupe)
-        return loupe.strips()
+        return self._rows("loupe", loupe)
 
     # ---- cursor ----------------------------------------------------------------------------------
 

@@ -24,6 +24,7 @@ Screen { background: $fp-back; color: $fp-text; }
 .image:focus { border: heavy $fp-red-focus; }
 .maximised #map, .maximised #middle { display: none; }
 .maximised #images { layout: horizontal; }
+.overview #map, .overview #list, .overview #images { display: none; }
 #status { height: 3; }
 #play { height: 1; }
 ToastRack { align: left bottom; }

@@ -10,8 +10,11 @@ from textual.scroll_view import ScrollView
 from textual.strip import Strip
 
 from hmi_client.matrix import (
+    HIDDEN,
     QUANTITIES,
     SELF,
+    THROUGH,
+    UNTRIED,
     Cell,
     Matrix,
     Quantity,
@@ -20,8 +23,10 @@ from hmi_client.matrix import (
     title_of,
 )
 from hmi_client.session import OperatorSession
+from hmi_client.text.cells import Rows
+from hmi_client.text.heat_map import Grid, heat_map
 from hmi_client.text.palette import style
-from hmi_client.text.panel import PanelMixin
+from hmi_client.text.panel import PanelMixin, line
 from protocol.keys import ordered_pair
 
 TONES = {"verified": "text", "plausible": "plausible", "ambiguous": "ambiguous", None: "faint"}
@@ -67,6 +72,8 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
         self.quantity: Quantity = "rms"
         self._shows: tuple[str, int, float, Quantity] | None = None
         self._selected: tuple[str, str] | None = None
+        self.overview = False
+        self._rows: Rows | None = None
 
     # ---- geometry --------------------------------------------------------------------------------
 
@@ -83,6 +90,9 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
 
     def cell_at(self, x: int, y: int) -> tuple[int, int] | None:
         """Row and column of the cell under a place of the content area."""
+        if self.overview:
+            row, column = self._grid.robot_at(2 * (y - 1)), self._grid.robot_at(x)
+            return None if row is None or column is None or y < 1 else (row, column)
         count = len(self._matrix.robots)
         column = (x - self.head + self.scroll_offset.x) // self.pitch
         row = y - 1 + self.scroll_offset.y
@@ -99,6 +109,8 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
             if self._shows != shows:
                 self._shows = shows
                 self._matrix = matrix_of(fleet, threshold_m, self.quantity)
+        if self.overview:
+            return self._paint_overview()
         count = len(self._matrix.robots)
         size = Size(self.head + count * self.pitch, count + 1)
         if size != self.virtual_size:
@@ -119,6 +131,40 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
                 lines.append(self._line(self._matrix.robots[row], cells))
         blank = Strip.blank(self.extent.width, style("faint"))
         return lines + [blank] * (self.extent.height - len(lines))
+
+    @property
+    def _grid(self) -> Grid:
+        columns, rows = self.extent
+        return Grid.fitting(len(self._matrix.robots), columns, rows - 1)
+
+    def _paint_overview(self) -> list[Strip]:
+        """All pairs in colours, above them what is under the cursor."""
+        matrix, (columns, rows) = self._matrix, self.extent
+        self.virtual_size = self.extent
+        self._follow_selection()
+        self.title(f"{title_of(self.quantity, matrix.unit)}: all pairs")
+        self.subtitle("dark is little, bright is much, orange is hidden or rejected; o goes back")
+        if not matrix.robots:
+            return [Strip.blank(columns, style("faint"))] * rows
+        picture = heat_map(matrix, self._grid, columns, rows - 1, self.cursor, self.session.pair)
+        self._rows = picture.rows(self._rows)
+        return [line(f" {self._about_cursor()}", columns, style("text")), *self._rows.strips]
+
+    def _about_cursor(self) -> str:
+        robots = self._matrix.robots
+        row, column = (min(k, len(robots) - 1) for k in self.cursor)
+        cell = self._matrix.at(robots[row], robots[column])
+        if row == column:
+            return robots[row]
+        words = {
+            HIDDEN: "above the threshold, or rejected",
+            THROUGH: "known only through others",
+            UNTRIED: "never tried",
+        }
+        verdict = f", {cell.verdict}" if cell.verdict else ""
+        clicked = ", clicked" if cell.clicked else ""
+        what = words.get(cell.text, cell.text)
+        return f"{robots[row]} - {robots[column]}: {what}{verdict}{clicked}"
 
     def _line(self, name: str, cells: list[Segment]) -> Strip:
         selected = name != "" and name in (self.session.pair or ())
@@ -167,6 +213,8 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
 
     def _keep_in_sight(self) -> None:
         row, column = self.cursor
+        if self.overview:
+            return
         left, top = self.scroll_offset
         width, height = self.extent.width - self.head, self.extent.height - 1
         x = min(max(left, (column + 1) * self.pitch - width), column * self.pitch)

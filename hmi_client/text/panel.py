@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from rich.segment import Segment
+from rich.style import Style
 from textual.geometry import Region, Size
 from textual.strip import Strip
 from textual.widget import Widget
@@ -86,6 +87,8 @@ class Panel(PanelMixin, can_focus=True):
 
 def changed_span(old: Strip, new: Strip) -> Sequence[tuple[int, int]]:
     """The columns (start, width) in which two strips differ, at most one span."""
+    if old is new:
+        return ()
     a: list[Segment] = list(old)
     b: list[Segment] = list(new)
     if a == b:
@@ -100,3 +103,9 @@ def changed_span(old: Strip, new: Strip) -> Sequence[tuple[int, int]]:
     end = sum(segment.cell_length for segment in b[len(b) - tail :])
     width = max(old.cell_length, new.cell_length) - start - end
     return ((start, max(width, 1)),)
+
+
+def line(text: str, width: int, paint: Style) -> Strip:
+    """One line of one style, cut or filled to the width."""
+    cut = text if len(text) <= width else text[: width - 1] + "…"
+    return Strip([Segment(cut.ljust(width), paint)], width)

@@ -13,9 +13,8 @@ from hmi_client.text import palette
 from hmi_client.text.app import FleetApp
 from hmi_client.text.driver import PatientDriver
 from hmi_client.text.palette import style
-from hmi_client.text.panel import PanelMixin
+from hmi_client.text.panel import PanelMixin, line
 from hmi_client.text.run import own_screen
-from hmi_client.text.status_panel import line
 
 SKIP_S = 10.0
 

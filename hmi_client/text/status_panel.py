@@ -1,14 +1,13 @@
 """The lines at the bottom: what to do next, why, what happened last, what the server confirmed."""
 
 from rich.segment import Segment
-from rich.style import Style
 from textual.strip import Strip
 
 from hmi_client.advice import confirmation, next_step, reason
 from hmi_client.proposals import Proposals
 from hmi_client.session import OperatorSession
 from hmi_client.text.palette import style
-from hmi_client.text.panel import PanelMixin
+from hmi_client.text.panel import PanelMixin, line
 
 
 class StatusPanel(PanelMixin):
@@ -40,9 +39,3 @@ class StatusPanel(PanelMixin):
             last.adjust_cell_length(width, style("dim")),
         ]
         return lines[: self.extent.height]
-
-
-def line(text: str, width: int, paint: Style) -> Strip:
-    """One line of one style, cut or filled to the width."""
-    cut = text if len(text) <= width else text[: width - 1] + "…"
-    return Strip([Segment(cut.ljust(width), paint)], width)

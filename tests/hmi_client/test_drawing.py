@@ -25,13 +25,13 @@ def colours(strip):
 
 def test_a_half_block_shows_two_pixels_with_five_bits_per_channel():
     image = np.array([[[1, 2, 255]], [[255, 130, 0]]], np.uint8)  # BGR: red above, blue below
-    [strip] = HalfBlocks(image).strips()
+    [strip] = HalfBlocks(image).rows().strips
     assert strip.text == "▀"
     assert colours(strip) == [("#f80000", "#0080f8")]
 
 
 def test_equal_cells_share_a_segment():
-    strips = HalfBlocks(np.full((4, 10, 3), 80, np.uint8)).strips()
+    strips = HalfBlocks(np.full((4, 10, 3), 80, np.uint8)).rows().strips
     assert [len(list(strip)) for strip in strips] == [1, 1]
     assert all(strip.cell_length == 10 for strip in strips)
 
@@ -40,7 +40,7 @@ def test_a_text_over_an_image_covers_its_cells_only():
     picture = HalfBlocks(np.full((4, 6, 3), 80, np.uint8))
     picture.text(4, 1, "12", "#000000", "#e69f00")
     picture.text(5, 0, "345", "#ffffff")  # cut at the edge
-    first, second = picture.strips()
+    first, second = picture.rows().strips
     assert (first.text, second.text) == ("▀▀▀▀▀3", "▀▀▀▀12")
     assert colours(second)[4] == ("#000000", "#e69f00")
 
