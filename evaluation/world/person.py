@@ -8,7 +8,7 @@ from evaluation.world.render import Floats, Quad
 _SIZE_M = (0.55, 0.4, 1.75)  # across the way they look, along it, upright
 _RADIUS_M = 5.9  # from the middle of the square: nothing else is there
 _REACH_DEG = 14.0
-_PERIOD_S = 9.0  # so at most 1 m/s
+_PERIOD_S = 9.7  # so at most 1 m/s; never in step with a camera of a whole rate
 _PX_PER_M = 160.0
 
 
