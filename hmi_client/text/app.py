@@ -62,6 +62,7 @@ class FleetApp(App[None]):
             Binding(str(n), f"panel({n})", show=False, id=f"panel-{name}")
             for n, name in enumerate(("map", "matrix", "list", "left", "right"), start=1)
         ),
+        Binding("ctrl+l", "redraw", "Draw anew", id="redraw", show=False),
         Binding("ctrl+c", "quit", show=False, priority=True),
     ]
 
@@ -107,6 +108,15 @@ class FleetApp(App[None]):
     def on_mount(self) -> None:
         self.matrix.focus()
         self.set_interval(self._period_s, self.tick)
+
+    def on_resize(self) -> None:
+        if isinstance(self._driver, PatientDriver):
+            self._driver.forget()
+
+    def action_redraw(self) -> None:
+        """Draws all of the screen again, whatever the terminal shows."""
+        self.on_resize()
+        self.screen.refresh()
 
     def tick(self) -> None:
         """Repaints the panels whose topics have changed; not while the terminal still draws what it

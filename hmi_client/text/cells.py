@@ -1,7 +1,7 @@
 """Drawing with characters: images in half blocks, dots in braille, texts on a canvas.
 
-Colours are cut to 5 bit per channel: that makes runs of equal cells longer and lets the styles be
-cached. Every style has its own background, because strips get none from their widget.
+Colours are cut to a few bits per channel: that makes runs of equal cells longer and lets the styles
+be cached. Every style has its own background, because strips get none from their widget.
 """
 
 from collections.abc import Callable, Hashable
@@ -20,7 +20,7 @@ from hmi_client.text.palette import style, theme
 
 Image = npt.NDArray[np.uint8]
 OUTSIDE_BGR = (30, 24, 20)  # beyond the edge of an image
-COLOUR_BITS = 0xF8F8F8
+FINE_BITS, LIVE_BITS = 5, 4
 _GREYS = " .:-=+*#%@"
 # The palette of Okabe and Ito is told apart by colour-blind people; the numbers say the same.
 MARKER_COLOURS = (
@@ -30,7 +30,7 @@ MARKER_COLOURS = (
 _BRAILLE_BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 
 
-@lru_cache(maxsize=1 << 16)
+@lru_cache(maxsize=1 << 13)
 def pair_style(foreground: int, background: int) -> Style:
     """The style of two 24-bit colours 0xRRGGBB."""
     return Style.from_color(_color(foreground), _color(background))
@@ -140,10 +140,11 @@ class Rows:
 class HalfBlocks:
     """An image of half cells on its way to strips; texts may be laid over it."""
 
-    def __init__(self, image: Image) -> None:
-        """Takes (2 rows, columns, 3) BGR."""
-        bgr = image.astype(np.int32)
-        packed = (bgr[..., 2] << 16 | bgr[..., 1] << 8 | bgr[..., 0]) & COLOUR_BITS
+    def __init__(self, image: Image, bits: int = FINE_BITS) -> None:
+        """Takes (2 rows, columns, 3) BGR, and how many bits of each channel are to be seen."""
+        lost = 8 - bits
+        bgr = (image >> lost << lost | image >> bits).astype(np.int32)  # white stays white
+        packed = bgr[..., 2] << 16 | bgr[..., 1] << 8 | bgr[..., 0]
         self.top, self.bottom = packed[0::2].copy(), packed[1::2].copy()
         self._over: dict[int, dict[int, tuple[str, Style]]] = {}
 

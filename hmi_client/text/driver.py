@@ -1,12 +1,20 @@
 """The terminal's driver, made for slow lines."""
 
+from typing import Any
+
 from textual.drivers.linux_driver import LinuxDriver
 
-from hmi_client.text.frugal import frugal
+from hmi_client.text.frugal import Frugal
 
 
 class PatientDriver(LinuxDriver):
-    """Textual's driver for Linux and macOS: what it has written waits in a queue."""
+    """Textual's driver for Linux and macOS: what it has written waits in a queue, and it writes
+    only what the terminal does not show yet.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._frugal = Frugal()
 
     @property
     def behind(self) -> bool:
@@ -15,5 +23,8 @@ class PatientDriver(LinuxDriver):
         return writer is not None and not writer._queue.empty()
 
     def write(self, data: str) -> None:
-        """Writes with no more colour codes than it takes."""
-        super().write(frugal(data))
+        super().write(self._frugal.rewritten(data))
+
+    def forget(self) -> None:
+        """The terminal may show anything now: the next writes are whole."""
+        self._frugal.forget()

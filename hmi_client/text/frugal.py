@@ -1,42 +1,120 @@
-"""What goes to the terminal, with no more colour codes than it takes.
+"""What goes to the terminal: only what is not there yet, in no more colour codes than it takes.
 
-Textual writes each run of cells with all of its style and a reset behind it. Over SSH an image is
-mostly colour codes; neighbours often share one of their two colours.
+Textual writes a line of a widget from its start to the last cell that changed, each run of cells
+with all of its style and a reset behind it. Over SSH an image is mostly colour codes; of a moving
+one half the cells stay as they are, and neighbours often share one of their two colours.
 """
 
 import re
 from functools import lru_cache
 
-_SGR = re.compile(r"\x1b\[([0-9;]*)m")
-_MOVES = re.compile(r"(?:\x1b\[[0-9;]*H|\n)+")  # they look the same in every colour
-_PLAIN = ("", "", "")
+from rich.cells import cell_len
+
+_TOKENS = re.compile(
+    r"\x1b\[([0-9;]*)m|\x1b\[([0-9]+);([0-9]+)H|(\n)|([^\x00-\x1f\x7f]+)|(.)", re.S
+)
+_HARMLESS = re.compile(r"\x1b\[\?2026[hl]")  # a frame begins or ends
 Look = tuple[str, str, str]
 """Attributes, foreground and background, each as codes; empty: the terminal's own."""
+Cell = tuple[str, Look] | None
+_PLAIN: Look = ("", "", "")
 
 
-def frugal(data: str) -> str:
-    """The same picture in fewer bytes; like the input it begins and ends with a plain look.
+class Frugal:
+    """Keeps what the terminal shows, and rewrites output so that it says the rest only.
 
-    Every style in the input must be told whole, after a reset, as Rich and Textual do.
+    What it writes begins and ends with a plain look, as what it is given does. Styles must be told
+    whole, after a reset, as Rich and Textual do.
     """
-    parts = _SGR.split(data)
-    if len(parts) == 1:
+
+    def __init__(self) -> None:
+        self._rows: dict[int, list[Cell]] = {}
+
+    def forget(self) -> None:
+        """The terminal may show anything: others wrote to it, or its size has changed."""
+        self._rows.clear()
+
+    def rewritten(self, data: str) -> str:
+        """Output that has the same effect."""
+        out = _Writer()
+        target: tuple[int, int] | None = None
+        look = _PLAIN
+        for codes, row, column, newline, text, other in _TOKENS.findall(data):
+            if text:
+                if target is None:
+                    return self._unknown(data)
+                target = self._put(out, target, text, look)
+            elif row:
+                target = int(row), int(column)
+            elif newline:
+                target = None  # a move follows
+            elif other:
+                return self._unknown(data)
+            else:
+                look = look_of(codes)
+        return out.finished(target)
+
+    def _unknown(self, data: str) -> str:
+        """Passes on what cannot be followed."""
+        if not _HARMLESS.fullmatch(data):
+            self.forget()
         return data
-    out = [parts[0]]
-    here = wanted = _PLAIN
-    for codes, text in zip(parts[1::2], parts[2::2], strict=True):
-        wanted = look_of(codes)
-        if text:
-            if wanted != here and not _MOVES.fullmatch(text):
-                out.append(change(here, wanted))
-                here = wanted
-            out.append(text)
-    if here != _PLAIN:
-        out.append(change(here, _PLAIN))
-    return "".join(out)
+
+    def _put(
+        self, out: "_Writer", target: tuple[int, int], text: str, look: Look
+    ) -> tuple[int, int]:
+        """Writes a run unless it is there; returns where the next one begins."""
+        y, x = target
+        width = len(text) if text.isascii() else cell_len(text)
+        row = self._rows.setdefault(y, [])
+        if len(row) < x + width:
+            row.extend([None] * (x + width - len(row)))
+        if width == len(text):
+            cells: list[Cell] = [(character, look) for character in text]
+        else:  # wide characters: not kept, always written
+            cells = [None] * width
+        if None in cells or row[x : x + width] != cells:
+            out.write(target, text, look, width)
+            row[x : x + width] = cells
+        return y, x + width
 
 
-@lru_cache(maxsize=1 << 16)
+class _Writer:
+    """Puts runs together, with moves and changes of the look between them."""
+
+    def __init__(self) -> None:
+        self._parts: list[str] = []
+        self._at: tuple[int, int] | None = None
+        self._look = _PLAIN
+
+    def write(self, where: tuple[int, int], text: str, look: Look, width: int) -> None:
+        if where != self._at:
+            self._parts.append(_move(self._at, where))
+        if look != self._look:
+            self._parts.append(change(self._look, look))
+            self._look = look
+        self._parts.append(text)
+        self._at = where[0], where[1] + width
+
+    def finished(self, where: tuple[int, int] | None) -> str:
+        """All of it, with a plain look and the cursor at `where`."""
+        if self._look != _PLAIN:
+            self._parts.append(change(self._look, _PLAIN))
+        if where is not None and where != self._at:
+            self._parts.append(_move(None, where))
+        return "".join(self._parts)
+
+
+def _move(here: tuple[int, int] | None, there: tuple[int, int]) -> str:
+    """Never relative to the end of a line, where terminals differ: only forward past what is
+    known to be there.
+    """
+    if here is not None and here[0] == there[0] and here[1] < there[1]:
+        return f"\x1b[{there[1] - here[1]}C"
+    return f"\x1b[{there[0]};{there[1]}H"
+
+
+@lru_cache(maxsize=1 << 13)
 def look_of(codes: str) -> Look:
     """What a whole style says."""
     attributes: list[str] = []
@@ -59,7 +137,7 @@ def look_of(codes: str) -> Look:
     return ";".join(attributes), colours["3"], colours["4"]
 
 
-@lru_cache(maxsize=1 << 16)
+@lru_cache(maxsize=1 << 13)
 def change(here: Look, wanted: Look) -> str:
     """The shortest code from one look to another."""
     if wanted == _PLAIN:

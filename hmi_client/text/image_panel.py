@@ -16,7 +16,16 @@ from hmi_client.guide import Expected, Guide
 from hmi_client.model import Entry, Picture, PixelUV
 from hmi_client.session import OperatorSession
 from hmi_client.text.arrangement import Arrangement, arrange, fit
-from hmi_client.text.cells import HalfBlocks, Image, Rows, Window, sample, steadied
+from hmi_client.text.cells import (
+    FINE_BITS,
+    LIVE_BITS,
+    HalfBlocks,
+    Image,
+    Rows,
+    Window,
+    sample,
+    steadied,
+)
 from hmi_client.text.hints import LETTERS, MOST, Hints
 from hmi_client.text.overlay import Overlay
 from hmi_client.text.palette import style
@@ -134,7 +143,7 @@ class ImagePanel(Panel):
         place = self._arrangement = arrange(columns, rows - 1, width / height)
         self._window = fit(place, self.image_size, self.zoom, self._centre)
         over = self._overlay()
-        picture = HalfBlocks(self._steady("image", self._image, self._window))
+        picture = HalfBlocks(self._steady("image", self._image, self._window), self._bits)
         over.draw(picture, self._window)
         rows = self._rows("image", picture)
         if place.loupe is None:
@@ -152,6 +161,11 @@ class ImagePanel(Panel):
         """The strips of a part; what has not changed is not made anew."""
         rows = self._rows_of[part] = picture.rows(self._rows_of.get(part))
         return rows
+
+    @property
+    def _bits(self) -> int:
+        """Nobody sees fine shades in what changes five times a second; a slow line feels them."""
+        return FINE_BITS if self.session.frozen else LIVE_BITS
 
     def _steady(self, part: str, image: Image, window: Window) -> Image:
         """What a window shows of the image, without flickering; exactly while it is held still."""
@@ -228,7 +242,7 @@ class ImagePanel(Panel):
         assert self._image is not None
         u, v = (round(x) for x in self.cursor)
         self._loupe = Window(u - columns // 2, v - rows, 1.0, columns, rows)
-        loupe = HalfBlocks(self._steady("loupe", self._image, self._loupe))
+        loupe = HalfBlocks(self._steady("loupe", self._image, self._loupe), self._bits)
         depths = self.session.depths(self._robot) if self._robot else None
         if depths is not None and depths.scattered:
             over = replace(over, depth=depths.within(u, v, columns // 2 + 1, rows + 1))

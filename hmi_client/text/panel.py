@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from rich.segment import Segment
 from rich.style import Style
+from textual.filter import LineFilter
 from textual.geometry import Region, Size
 from textual.strip import Strip
 from textual.widget import Widget
@@ -53,6 +54,10 @@ class PanelMixin(Widget):
 
     def _shown(self) -> tuple[list[Strip], Size | None]:
         return getattr(self, "_strips", []), getattr(self, "_painted", None)
+
+    def get_line_filters(self) -> Sequence[LineFilter]:
+        """None: what is painted is made for the theme in use."""
+        return ()
 
     def render_line(self, y: int) -> Strip:
         strips, _ = self._shown()

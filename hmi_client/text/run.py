@@ -1,6 +1,7 @@
 """Running the text client: on a terminal, or without one for a picture of it."""
 
 import asyncio
+import gc
 import logging
 import os
 import sys
@@ -59,6 +60,8 @@ def run_screen(
         client = where.client(session, RETRY_TIMEOUT_S, recorder)
         closing.callback(client.close)
         client.start_in_background()
+        gc.freeze()
+        gc.set_threshold(50_000, 20, 50)
         FleetApp(session, fps, lambda: client.failure, PatientDriver).run()
     if recorder is not None:
         print(recorder.report())

@@ -1,13 +1,14 @@
-"""Frugal output looks the same, in fewer bytes."""
+"""Frugal output makes the same picture as what it is made of, in fewer bytes."""
 
 import re
 
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.cells import cell_len
 from rich.color import ColorSystem
 from rich.style import Style
 
-from hmi_client.text.frugal import frugal
+from hmi_client.text.frugal import Frugal
 
 COLOURS = st.sampled_from(["#102030", "#a0b0c0", "red", "color(200)", "bright_blue", None])
 STYLES = st.builds(
@@ -17,64 +18,117 @@ STYLES = st.builds(
     bold=st.sampled_from([True, None]),
     reverse=st.sampled_from([True, None]),
 )
-RUNS = st.lists(
-    st.tuples(st.sampled_from(["▀", "ab", " ", "\x1b[3;7H", "\n", "\x1b[2;1H\n"]), STYLES),
-    max_size=12,
-)
+TEXTS = st.sampled_from(["▀", "▀▀▀", "ab", " ", "r12", "世界", "a世"])
 SYSTEMS = st.sampled_from([ColorSystem.TRUECOLOR, ColorSystem.EIGHT_BIT, ColorSystem.STANDARD])
-CODE = re.compile(r"\x1b\[([0-9;]*)([mH])")
+SPANS = st.tuples(
+    st.integers(1, 3), st.integers(1, 9), st.lists(st.tuples(TEXTS, STYLES), max_size=5)
+)
+FRAMES = st.lists(st.lists(SPANS, min_size=1, max_size=4), min_size=1, max_size=4)
+CODE = re.compile(r"\x1b\[([0-9;]*)([mHC])")
 
 
-def seen(data: str) -> tuple[list[tuple[str, tuple]], tuple]:
-    """Each printed character with its look, moves among them; and the look at the end."""
-    look: dict[str, str] = {}
-    cells = []
-    at = 0
-    while at < len(data):
-        code = CODE.match(data, at)
-        if code is None:
-            moves = data[at] == "\n"
-            cells.append((data[at], () if moves else tuple(sorted(look.items()))))
-            at += 1
-            continue
-        at = code.end()
-        if code[2] == "H":
-            cells.append((code[0], ()))
-            continue
-        numbers = code[1].split(";")
+class Terminal:
+    """Shows what is written to it; knows only what Rich and Textual write."""
+
+    def __init__(self) -> None:
+        self.cells: dict[tuple[int, int], tuple[str, tuple]] = {}
+        self.look: dict[str, str] = {}
+        self.at = (1, 1)
+
+    def write(self, data: str) -> None:
+        at = 0
+        while at < len(data):
+            code = CODE.match(data, at)
+            y, x = self.at
+            if code is None:
+                if data[at] == "\n":
+                    self.at = (y + 1, 1)
+                else:
+                    self._show(data[at])
+                at += 1
+                continue
+            at = code.end()
+            match code[2]:
+                case "H":
+                    row, column = code[1].split(";")
+                    self.at = (int(row), int(column))
+                case "C":
+                    self.at = (y, x + int(code[1]))
+                case _:
+                    self._style(code[1].split(";"))
+
+    def _show(self, character: str) -> None:
+        y, x = self.at
+        width = cell_len(character)
+        for k in range(width):
+            self.cells[y, x + k] = (character if k == 0 else "", tuple(sorted(self.look.items())))
+        self.at = (y, x + width)
+
+    def _style(self, numbers: list[str]) -> None:
         while numbers:
             n = numbers.pop(0) or "0"
             if n == "0":
-                look = {}
+                self.look = {}
             elif n in ("38", "48"):
                 take = 4 if numbers[0] == "2" else 2
-                look[n[0]] = ";".join(numbers[:take])
+                self.look[n[0]] = ";".join(numbers[:take])
                 del numbers[:take]
             elif n in ("39", "49"):
-                look.pop(n[0], None)
+                self.look.pop(n[0], None)
             elif 30 <= int(n) <= 37 or 90 <= int(n) <= 97:
-                look["3"] = n
+                self.look["3"] = n
             elif 40 <= int(n) <= 47 or 100 <= int(n) <= 107:
-                look["4"] = n
+                self.look["4"] = n
             else:
-                look[f"a{n}"] = n
-    return cells, tuple(sorted(look.items()))
+                self.look[f"a{n}"] = n
 
 
-@given(RUNS, SYSTEMS)
-def test_frugal_output_looks_the_same_and_is_no_longer(runs, system):
-    data = "".join(style.render(text, color_system=system) for text, style in runs)
-    assert seen(frugal(data)) == seen(data)
-    assert len(frugal(data)) <= len(data)
-    assert seen(frugal(data))[1] == ()  # plain at the end: anybody may write next
+def written(frame, system) -> str:
+    """A frame as Textual writes it."""
+    lines = [
+        f"\x1b[{y};{x}H" + "".join(style.render(text, color_system=system) for text, style in runs)
+        for y, x, runs in frame
+    ]
+    return "\n".join(lines) + "\x1b[1;1H"
+
+
+@given(FRAMES, SYSTEMS, st.integers(0, 3))
+def test_the_terminal_shows_the_same_after_each_frame(frames, system, forgotten):
+    plain, spared, frugal = Terminal(), Terminal(), Frugal()
+    for number, frame in enumerate(frames):
+        if number == forgotten:
+            frugal.forget()
+        data = written(frame, system)
+        rewritten = frugal.rewritten(data)
+        plain.write(data)
+        spared.write(rewritten)
+        assert spared.cells == plain.cells
+        assert (spared.look, spared.at) == ({}, plain.at)
+        assert len(rewritten) <= len(data)
+
+
+def test_what_is_there_already_is_not_written_again():
+    style = Style(color="#a0b0c0", bgcolor="#102030")
+    data = written([(1, 1, [("▀▀▀", style), ("r12", Style())])], ColorSystem.TRUECOLOR)
+    frugal = Frugal()
+    assert "r12" in frugal.rewritten(data)
+    assert frugal.rewritten(data) == "\x1b[1;1H"
+    frugal.forget()
+    assert "r12" in frugal.rewritten(data)
 
 
 def test_a_row_of_an_image_costs_less_where_a_colour_stays():
-    row = [Style(color="#a0b0c0", bgcolor=f"#0000{k:02x}") for k in range(0, 160, 8)]
-    data = "".join(style.render("▀", color_system=ColorSystem.TRUECOLOR) for style in row)
-    assert len(frugal(data)) < 0.55 * len(data)
+    runs = [("▀", Style(color="#a0b0c0", bgcolor=f"#0000{k:02x}")) for k in range(0, 160, 8)]
+    data = written([(1, 1, runs)], ColorSystem.TRUECOLOR)
+    assert len(Frugal().rewritten(data)) < 0.6 * len(data)
 
 
-def test_other_sequences_pass_untouched():
-    for data in ("\x1b[?25l", "\x1b[>1u", "\x1b]52;c;eA==\a", "plain", ""):
-        assert frugal(data) == data
+def test_what_cannot_be_followed_passes_and_ends_all_knowledge():
+    frugal = Frugal()
+    data = written([(1, 1, [("r12", Style(bold=True))])], ColorSystem.TRUECOLOR)
+    for other in ("\x1b[?1049h", "\x1b[2J", "plain text", "\x1b]52;c;eA==\a", "\x1b[>1u"):
+        frugal.rewritten(data)
+        assert frugal.rewritten(other) == other
+        assert "r12" in frugal.rewritten(data)
+    assert frugal.rewritten("\x1b[?2026h") == "\x1b[?2026h"
+    assert "r12" not in frugal.rewritten(data)
