@@ -2,6 +2,7 @@
 made or read.
 """
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import numpy as np
@@ -11,7 +12,7 @@ from pydantic import BeforeValidator, PlainSerializer
 Shape = tuple[int | None, ...]
 MAX_DISTANCE_M = 1e8  # between two frames
 MAX_COVARIANCE = 1e30
-_LAST_ROW, _IDENTITY = np.array((0.0, 0.0, 0.0, 1.0)), np.eye(3)
+_LAST_ROW = (0.0, 0.0, 0.0, 1.0)
 
 
 def _checked(dtype: str, shape: Shape, finite: bool) -> Any:
@@ -45,14 +46,29 @@ def array_type(dtype: str, *shape: int | None, finite: bool = True) -> Any:
 
 def _check_rigid(value: Any) -> npt.NDArray[np.float64]:
     T = _checked("f8", (4, 4), True)(value)
-    if np.abs(T[3] - _LAST_ROW).max() > 1e-5:
+    x, y, z, last = (
+        T.tolist()
+    )  # so few numbers are quicker without numpy, and poses come in hundreds
+    if max(abs(a - b) for a, b in zip(last, _LAST_ROW, strict=True)) > 1e-5:
         raise ValueError("last row of a pose is not 0 0 0 1")
-    R = T[:3, :3]
-    if np.abs(R).max() > 1.01 or np.abs(R @ R.T - _IDENTITY).max() > 1e-3 or np.linalg.det(R) < 0:
+    if not _are_axes(x[:3], y[:3], z[:3]):
         raise ValueError("rotation of a pose is not orthonormal")
-    if np.abs(T[:3, 3]).max() > MAX_DISTANCE_M:
+    if max(abs(x[3]), abs(y[3]), abs(z[3])) > MAX_DISTANCE_M:
         raise ValueError(f"a pose farther than {MAX_DISTANCE_M:g} m")
     return T
+
+
+def _are_axes(x: list[float], y: list[float], z: list[float]) -> bool:
+    """Whether three rows are at right angles, of length 1, and right-handed."""
+    if max(map(abs, (*x, *y, *z))) > 1.01:
+        return False
+    products = (_dot(x, y), _dot(y, z), _dot(z, x), _dot(x, x) - 1, _dot(y, y) - 1, _dot(z, z) - 1)
+    normal = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
+    return max(map(abs, products)) <= 1e-3 and _dot(normal, z) > 0
+
+
+def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _check_square(value: Any) -> npt.NDArray[np.float64]:

@@ -10,13 +10,13 @@ from functools import lru_cache
 
 from rich.cells import cell_len
 
-_TOKENS = re.compile(
-    r"\x1b\[([0-9;]*)m|\x1b\[([0-9]+);([0-9]+)H|(\n)|([^\x00-\x1f\x7f]+)|(.)", re.S
-)
+_SGR = re.compile(r"[0-9;]*")
+_MOVE = re.compile(r"([0-9]+);([0-9]+)H")
+_CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 _HARMLESS = re.compile(r"\x1b\[\?2026[hl]")  # a frame begins or ends
+_MOST_CODES = 1 << 13
 Look = tuple[str, str, str]
 """Attributes, foreground and background, each as codes; empty: the terminal's own."""
-Cell = tuple[str, Look] | None
 _PLAIN: Look = ("", "", "")
 
 
@@ -28,7 +28,8 @@ class Frugal:
     """
 
     def __init__(self) -> None:
-        self._rows: dict[int, list[Cell]] = {}
+        self._rows: dict[int, _Row] = {}
+        self._styles: set[str] = set()  # codes that have been seen to be styles
 
     def forget(self) -> None:
         """The terminal may show anything: others wrote to it, or its size has changed."""
@@ -37,22 +38,41 @@ class Frugal:
     def rewritten(self, data: str) -> str:
         """Output that has the same effect."""
         out = _Writer()
-        target: tuple[int, int] | None = None
-        look = _PLAIN
-        for codes, row, column, newline, text, other in _TOKENS.findall(data):
-            if text:
-                if target is None:
+        row: _Row | None = None  # none: where it goes on is not known
+        x = 0
+        begin, *parts = data.split("\x1b[")
+        if begin or not parts:
+            return self._unknown(data)
+        for part in parts:
+            codes, end, text = part.partition("m")
+            if codes not in self._styles or not end:
+                if end and self._is_style(codes):
+                    pass
+                elif (move := _MOVE.match(part)) is not None:
+                    y, x = int(move[1]), int(move[2])
+                    row = self._rows.get(y) or self._rows.setdefault(y, _Row(y))
+                    codes, text = "", part[move.end() :]
+                else:
                     return self._unknown(data)
-                target = self._put(out, target, text, look)
-            elif row:
-                target = int(row), int(column)
-            elif newline:
-                target = None  # a move follows
-            elif other:
+            if not text:
+                continue
+            ended = text[-1] == "\n"
+            text = text.removesuffix("\n")
+            if text and (row is None or _CONTROL.search(text)):
                 return self._unknown(data)
-            else:
-                look = look_of(codes)
-        return out.finished(target)
+            if text and row is not None:
+                x = row.put(out, x, text, codes)
+            if ended:
+                row = None  # a move follows
+        return out.finished(None if row is None else (row.y, x))
+
+    def _is_style(self, codes: str) -> bool:
+        if not _SGR.fullmatch(codes):
+            return False
+        if len(self._styles) >= _MOST_CODES:
+            self._styles.clear()
+        self._styles.add(codes)
+        return True
 
     def _unknown(self, data: str) -> str:
         """Passes on what cannot be followed."""
@@ -60,23 +80,36 @@ class Frugal:
             self.forget()
         return data
 
-    def _put(
-        self, out: "_Writer", target: tuple[int, int], text: str, look: Look
-    ) -> tuple[int, int]:
+
+class _Row:
+    """What a row of the terminal shows: characters, and each one's style as it was told."""
+
+    def __init__(self, y: int) -> None:
+        self.y = y
+        self._characters: list[str] = []
+        self._styles: list[str] = []
+
+    def put(self, out: "_Writer", x: int, text: str, codes: str) -> int:
         """Writes a run unless it is there; returns where the next one begins."""
-        y, x = target
-        width = len(text) if text.isascii() else cell_len(text)
-        row = self._rows.setdefault(y, [])
-        if len(row) < x + width:
-            row.extend([None] * (x + width - len(row)))
-        if width == len(text):
-            cells: list[Cell] = [(character, look) for character in text]
-        else:  # wide characters: not kept, always written
-            cells = [None] * width
-        if None in cells or row[x : x + width] != cells:
-            out.write(target, text, look, width)
-            row[x : x + width] = cells
-        return y, x + width
+        width = 1 if text == "▀" else len(text) if text.isascii() else cell_len(text)
+        after = x + width
+        missing = after - len(self._characters)
+        if missing > 0:
+            self._characters += [""] * missing
+            self._styles += [""] * missing
+        if width == 1:
+            if self._characters[x] != text or self._styles[x] != codes:
+                self._characters[x], self._styles[x] = text, codes
+                out.write((self.y, x), text, codes, after)
+            return after
+        narrow = width == len(text)  # wide characters are not kept but always written
+        here = slice(x, after)
+        characters, styles = list(text) if narrow else [""] * width, [codes] * width
+        there = self._characters[here] == characters and self._styles[here] == styles
+        if not there or not narrow:
+            self._characters[here], self._styles[here] = characters, styles
+            out.write((self.y, x), text, codes, after)
+        return after
 
 
 class _Writer:
@@ -85,16 +118,17 @@ class _Writer:
     def __init__(self) -> None:
         self._parts: list[str] = []
         self._at: tuple[int, int] | None = None
-        self._look = _PLAIN
+        self._codes, self._look = "", _PLAIN
 
-    def write(self, where: tuple[int, int], text: str, look: Look, width: int) -> None:
+    def write(self, where: tuple[int, int], text: str, codes: str, after: int) -> None:
         if where != self._at:
             self._parts.append(_move(self._at, where))
-        if look != self._look:
+        if codes != self._codes:
+            look = look_of(codes)
             self._parts.append(change(self._look, look))
-            self._look = look
+            self._codes, self._look = codes, look
         self._parts.append(text)
-        self._at = where[0], where[1] + width
+        self._at = where[0], after
 
     def finished(self, where: tuple[int, int] | None) -> str:
         """All of it, with a plain look and the cursor at `where`."""
@@ -137,17 +171,20 @@ def look_of(codes: str) -> Look:
     return ";".join(attributes), colours["3"], colours["4"]
 
 
-@lru_cache(maxsize=1 << 13)
 def change(here: Look, wanted: Look) -> str:
     """The shortest code from one look to another."""
+    attributes, front, back = wanted
+    if attributes == here[0] and front and back:  # nearly always, so it is quick
+        if front == here[1]:
+            return f"\x1b[{back}m"
+        return f"\x1b[{front}m" if back == here[2] else f"\x1b[{front};{back}m"
     if wanted == _PLAIN:
         return "\x1b[m"
-    if wanted[0] != here[0]:
-        codes = [("0" if here != _PLAIN else ""), *wanted]
+    if attributes != here[0]:
+        codes = ("" if here == _PLAIN else "0", attributes, front, back)
         return f"\x1b[{';'.join(code for code in codes if code)}m"
-    codes = [
-        new or default
-        for new, old, default in zip(wanted[1:], here[1:], ("39", "49"), strict=True)
-        if new != old
-    ]
-    return f"\x1b[{';'.join(codes)}m"
+    codes = (
+        front or "39" if front != here[1] else "",
+        back or "49" if back != here[2] else "",
+    )
+    return f"\x1b[{';'.join(code for code in codes if code)}m"

@@ -32,7 +32,8 @@ from hmi_client.text.palette import style
 from hmi_client.text.panel import Panel
 from protocol.messages import ViewName
 
-NOISE_LEVELS = {"image": 10, "loupe": 20}  # a half cell of the image is a mean over many pixels
+# A half cell of the image is a mean over many pixels; the shades of live images are coarser yet.
+NOISE_LEVELS = {"image": 16, "loupe": 24}
 
 
 class ImagePanel(Panel):
@@ -94,6 +95,8 @@ class ImagePanel(Panel):
         self._arrangement: Arrangement | None = None
         self._shown_of: dict[str, tuple[Window, Image]] = {}
         self._rows_of: dict[str, Rows] = {}
+        self._drawn_of: object = None
+        self._drawn: list[Strip] = []
 
     # ---- what is shown ---------------------------------------------------------------------------
 
@@ -142,20 +145,30 @@ class ImagePanel(Panel):
         width, height = self.image_size
         place = self._arrangement = arrange(columns, rows - 1, width / height)
         self._window = fit(place, self.image_size, self.zoom, self._centre)
-        over = self._overlay()
-        picture = HalfBlocks(self._steady("image", self._image, self._window), self._bits)
+        over, about = self._overlay(), self._about(columns)
+        depths = self.session.depths(self._robot) if self._robot else None
+        known = depths.view if depths is not None else None
+        shown = (self._view, self._window, over, self._bits, known)
+        if shown != self._drawn_of:
+            self._drawn_of, self._drawn = shown, self._draw(self._image, place, over)
+        return [*self._drawn, about]
+
+    def _draw(self, image: Image, place: Arrangement, over: Overlay) -> list[Strip]:
+        """The image and, beside or below it, the loupe."""
+        assert self._window is not None
+        picture = HalfBlocks(self._steady("image", image, self._window), self._bits)
         over.draw(picture, self._window)
         rows = self._rows("image", picture)
         if place.loupe is None:
             self._loupe = None
-            return [*rows.strips, self._about(columns, over)]
+            return rows.strips
         left, _, loupe_columns, loupe_rows = place.loupe
         loupe = self._paint_loupe(over, loupe_columns, loupe_rows)
         if left == 0:
-            return [*rows.strips, *loupe.strips, self._about(columns, over)]
+            return [*rows.strips, *loupe.strips]
         gap = Strip.blank(1, style("dim"))
         both = self._rows_of["both"] = rows.beside(loupe, gap, self._rows_of.get("both"))
-        return [*both.strips, self._about(columns, over)]
+        return both.strips
 
     def _rows(self, part: str, picture: HalfBlocks) -> Rows:
         """The strips of a part; what has not changed is not made anew."""
@@ -181,7 +194,7 @@ class ImagePanel(Panel):
         keeping = self.session.keeping(self._robot) if self._robot else ""
         self.title(f"{self._robot or 'no robot'}{frozen}{keeping and '  ' + keeping}")
 
-    def _about(self, columns: int, over: Overlay) -> Strip:
+    def _about(self, columns: int) -> Strip:
         """The last line: where the cursor is and in which view. A border's text would do, but
         setting one repaints the whole panel.
         """
@@ -189,7 +202,8 @@ class ImagePanel(Panel):
         place = f"{u:.0f}, {v:.0f} px" + (f"  x{self.zoom:.1f}" if self.zoom > 1 else "")
         notice = self.session.picture_notice(self._robot) if self._robot else ""
         view = f"view {self._view.seq}" if self._view else ""
-        expected = "" if over.expected is None else f"  ◇ {over.expected.how}"
+        here = self._expected_here()
+        expected = "" if here is None else f"  ◇ {here.how}"
         text = (notice or place + self._depth_note() + expected)[:columns]
         shown = f"{text.ljust(columns - len(view) - 1)} {view}" if notice == "" else text
         return Strip([Segment(shown[:columns].ljust(columns), style("dim"))], columns)
@@ -217,8 +231,6 @@ class ImagePanel(Panel):
 
     def _overlay(self) -> Overlay:
         half = self.session.half
-        here = half is not None and self.expected is not None and self.expected.side == self.side
-        expected = self.expected if here else None
         return Overlay(
             view=self._view,
             side=self.side,
@@ -226,9 +238,15 @@ class ImagePanel(Panel):
             focused=self.has_focus,
             entries=self.session.entries(),
             half=half.pixel if half is not None and half.side == self.side else None,
-            expected=expected,
+            expected=self._expected_here(),
             hints=self.hints,
         )
+
+    def _expected_here(self) -> Expected | None:
+        """Where the other half of a pick is expected, if that is in this image."""
+        half, expected = self.session.half, self.expected
+        here = half is not None and expected is not None and expected.side == self.side
+        return expected if here else None
 
     def nearest(self) -> Entry | None:
         """The confirmed correspondence whose marker is nearest to the cursor."""

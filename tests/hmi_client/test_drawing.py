@@ -27,7 +27,7 @@ def test_a_half_block_shows_two_pixels_with_five_bits_per_channel():
     image = np.array([[[1, 2, 255]], [[255, 130, 0]]], np.uint8)  # BGR: red above, blue below
     [strip] = HalfBlocks(image).rows().strips
     assert strip.text == "▀"
-    assert colours(strip) == [("#f80000", "#0080f8")]
+    assert colours(strip) == [("#ff0000", "#0084ff")]  # black and white stay what they are
 
 
 def test_equal_cells_share_a_segment():

@@ -84,7 +84,7 @@ def test_a_bad_image_is_counted_and_told_and_the_next_good_one_shown(
     server, session, client = ready(client_of, serve, live=False, robots_forget=True)
     session.select("r1", "r2")
     wait_for(lambda: server.image_wanted("r1"))
-    wait_for(lambda: "r1" in client._cameras)
+    wait_for(lambda: "r1" in client._intake._cameras)
     good = server.pictures("r1", 7)
     header = ImageHeader(
         view=view(change.get("of", "r1")), stamp_ns=0, scale=change.get("scale", 1)
