@@ -277,6 +277,9 @@ def operate(
     first: Annotated[int, typer.Option(min=0, help="The first view.")] = 0,
     points: Annotated[int, typer.Option(min=1, help="Points to click.")] = 3,
     by_hand: Annotated[bool, typer.Option(help="Without the server's suggestions.")] = False,
+    kill_server: Annotated[
+        bool, typer.Option(help="Kill it (SIGKILL) in the middle of the second click, by hand.")
+    ] = False,
     size: Annotated[str, typer.Option(help="Columns x rows of the terminal.")] = "160x50",
     theme: Annotated[str, typer.Option(help="Of the screen: auto, dark, light, mono.")] = "auto",
 ) -> None:
@@ -287,7 +290,8 @@ def operate(
     from hmi_client.commands import size_of
 
     kind = clouds.value if clouds else None
-    run(OperateOptions(data, kind, robots, first, points, by_hand, *size_of(size), theme), out)
+    how = (by_hand, kill_server, *size_of(size))
+    run(OperateOptions(data, kind, robots, first, points, *how, theme), out)
 
 
 @app.command()

@@ -1,6 +1,7 @@
 """What the operator should do next and why, in sentences. Every client shows these."""
 
 import math
+from collections.abc import Mapping
 
 from hmi_client.matrix import are_joined, components_of, length_text
 from hmi_client.proposals import Proposals
@@ -8,8 +9,14 @@ from hmi_client.session import OperatorSession
 from protocol.messages import Answer
 
 
-def next_step(session: OperatorSession, proposals: Proposals) -> str:
-    """The one thing to do now."""
+def next_step(session: OperatorSession, proposals: Proposals, keys: Mapping[str, str]) -> str:
+    """The one thing to do now.
+
+    Args:
+        session: the operator's.
+        proposals: the suggestions.
+        keys: how the keys of the commands are called, by the commands' ids.
+    """
     if session.silent:
         if math.isinf(session.silence_s):
             return "NO SERVER heard yet; waiting for one"
@@ -18,8 +25,9 @@ def next_step(session: OperatorSession, proposals: Proposals) -> str:
     question = session.question()
     if session.pair is None:
         if question is None:
-            return "Nothing is asked. Arrows and Enter in the matrix select any pair."
-        return f"Press n for the best question: {question.i} - {question.j}"
+            select = f"Arrows and {keys['select']} in the matrix select any pair."
+            return f"Nothing is asked. {select}"
+        return f"Press {keys['next']} for the best question: {question.i} - {question.j}"
     i, j = session.pair
     missing = [robot for robot in (i, j) if session.picture(robot) is None]
     if missing:
@@ -29,30 +37,34 @@ def next_step(session: OperatorSession, proposals: Proposals) -> str:
         return f"Waiting for the image of {' and '.join(missing)} ..."
     lost = [robot for robot in (i, j) if session.keeping(robot) == "not kept"]
     if lost:
-        return f"The server does not keep this view of {' and '.join(lost)}: f thaws, pick anew"
+        thaw = f"{keys['freeze']} thaws, pick anew"
+        return f"The server does not keep this view of {' and '.join(lost)}: {thaw}"
     if proposals.waiting:
         return "Fetching the two images of the suggestion ..."
     proposal = proposals.current
     if proposal is not None:
         return (
             f"Suggestion {proposal.number} of {proposal.of}: do both crosses show the same point? "
-            "Tab yes, Shift-Tab no, arrows correct, c leaves"
+            f"{keys['accept']} yes, {keys['skip']} no, arrows correct, {keys['cancel']} leaves"
         )
     if session.half is not None:
         done, other = (i, j) if session.half.side == 0 else (j, i)
-        return f"Point picked in {done}: now pick the same point in {other} (c cancels)"
+        return (
+            f"Point picked in {done}: now pick the same point in {other} ({keys['cancel']} cancels)"
+        )
+    go, picks = keys["go"], f"{keys['snap']} snaps, {keys['pick']} picks"
     question = session.question()
     asked = question is not None and (question.i, question.j) == session.pair
     answer = answer_of(session)
     if answer is not None and not asked and answer.clicks:
-        rest = "n goes to the next question" if question is not None else "nothing else is asked"
+        more = f"{keys['next']} goes to the next question"
+        rest = more if question is not None else "nothing else is asked"
         done = f"{', '.join(answer.joined[:4])} joined" if answer.joined else "Answered"
         return f"{done}: {located_text(session)}; {rest}"
     if question is not None and asked and question.suggestions:
-        return (
-            f"Same point in {i} and {j}? Tab shows suggestions; or g, arrows, s snaps, Space picks"
-        )
-    return f"Pick the same point in {i} and in {j}: g or arrows go, s snaps, Space picks"
+        shows = f"{keys['accept']} shows suggestions"
+        return f"Same point in {i} and {j}? {shows}; or {go}, arrows, {picks}"
+    return f"Pick the same point in {i} and in {j}: {go} or arrows go, {picks}"
 
 
 def reason(session: OperatorSession) -> str:

@@ -14,7 +14,7 @@ import typer
 from hmi_client import connection as c
 from hmi_client import correspondence_commands, recording_commands
 from hmi_client.errors import OperatorError
-from hmi_client.options import Fps, LogFile, Theme, Threshold
+from hmi_client.options import Fps, KeysFile, LogFile, Theme, Threshold
 
 ALIGNMENTS_S = 1.0  # they are latched: what has not come by then was never told
 
@@ -43,6 +43,7 @@ def screen(
     fps: Fps = 10.0,
     threshold: Threshold = 1.0,
     theme: Theme = "auto",
+    keys: KeysFile = None,
     log: LogFile = None,
     connect: c.Connect = c.DEFAULT_CONNECT,
     site: c.Site = c.DEFAULT_SITE,
@@ -52,7 +53,7 @@ def screen(
     """Shows map, errors and images; q quits."""
     from hmi_client.text.run import run_screen
 
-    run_screen(c.Connection.of(connect, site, config, operator), fps, threshold, log, theme)
+    run_screen(c.Connection.of(connect, site, config, operator), fps, threshold, log, theme, keys)
 
 
 @app.command()
@@ -79,6 +80,14 @@ def screenshot(
     complete = take_screenshot(where, out, (columns, rows), after, pair, maximise, threshold)
     missing = "" if complete else f" (after {after:.0f} s not everything had arrived)"
     typer.echo(f"{out}{missing}")
+
+
+@app.command("keys")
+def show_keys(keys: KeysFile = None) -> None:
+    """Prints the keys of all commands, as a file that you can change and use (--keys)."""
+    from hmi_client.text.run import keymap_of
+
+    typer.echo(keymap_of(keys).as_toml(), nl=False)
 
 
 @app.command()

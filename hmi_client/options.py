@@ -7,6 +7,13 @@ import typer
 
 Fps = Annotated[float, typer.Option(help="looks at the state per second", min=1, max=60)]
 Threshold = Annotated[float, typer.Option(help="hide errors above it, metres", min=0.0001)]
+KeysFile = Annotated[
+    Path | None,
+    typer.Option(
+        help="TOML file of keys, see 'hmi-client keys'; default: keys.toml in the config folder",
+        envvar="FLEETPOSE_HMI_KEYS",
+    ),
+]
 LogFile = Annotated[Path | None, typer.Option(help="log file; default in the state folder")]
 Theme = Annotated[
     Literal["auto", "dark", "light", "mono"],

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hmi_client import connection as c
-from hmi_client.options import Fps, LogFile, Theme, Threshold
+from hmi_client.options import Fps, KeysFile, LogFile, Theme, Threshold
 
 app = typer.Typer()
 
@@ -20,6 +20,7 @@ def record(
     fps: Fps = 10.0,
     threshold: Threshold = 1.0,
     theme: Theme = "auto",
+    keys: KeysFile = None,
     log: LogFile = None,
     connect: c.Connect = c.DEFAULT_CONNECT,
     site: c.Site = c.DEFAULT_SITE,
@@ -33,7 +34,7 @@ def record(
     from hmi_client.text.run import run_screen
 
     where = c.Connection.of(connect, site, config, operator)
-    run_screen(where, fps, threshold, log, theme, record=file)
+    run_screen(where, fps, threshold, log, theme, keys, record=file)
 
 
 @app.command()
@@ -47,6 +48,7 @@ def replay(
     fps: Fps = 10.0,
     threshold: Threshold = 1.0,
     theme: Theme = "auto",
+    keys: KeysFile = None,
     log: LogFile = None,
 ) -> None:
     """Plays a recorded session on the screen; needs no server.
@@ -62,4 +64,4 @@ def replay(
         return
     from hmi_client.text.replay import run_replay
 
-    run_replay(file, speed, start, fps, threshold, log, theme)
+    run_replay(file, speed, start, fps, threshold, log, theme, keys)

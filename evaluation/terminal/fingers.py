@@ -10,6 +10,7 @@ import numpy as np
 
 from evaluation.geometry import Floats
 from evaluation.observer import Observer, SeenView
+from evaluation.terminal.interruption import Interruption
 from evaluation.terminal.reading import ShownImage, images_on
 from evaluation.terminal.tmux import Terminal
 from evaluation.truth import Truth
@@ -71,12 +72,14 @@ class Fingers:
         terminal: with the client in it.
         observer, truth: what the eyes behind the fingers know.
         screens: where screens are kept.
+        interruption: what happens in the middle of a click.
     """
 
     terminal: Terminal
     observer: Observer
     truth: Truth
     screens: Path
+    interruption: Interruption | None = None
     picked: list[Floats] = field(default_factory=list)
     suggested: int = 0
 
@@ -148,6 +151,8 @@ class Fingers:
         self.terminal.press("Space")
         right = self._wait_images(lambda left, right: right.focused)[1]
         self.terminal.keep(self.screens, f"point-{before + 1}-half")
+        if self.interruption is not None:
+            self.interruption.half(before + 1)
         if len(arrow_keys(*(where - right.cursor))) > CORRECTED_KEYS:
             self._go(1, lambda place: -float(np.linalg.norm(where - place)), eyes)
             right = self._images()[1]
@@ -155,6 +160,8 @@ class Fingers:
         self.terminal.keep(self.screens, f"point-{before + 1}-whole")
         self.terminal.press("Space")
         self._wait_images(lambda left, right: left.focused)
+        if self.interruption is not None:
+            self.interruption.whole(before + 1)
 
     def _go_where_both_see(self, eyes: Eyes) -> Floats:
         """Goes to a place of the left image and returns where the right one shows it, (2,)."""

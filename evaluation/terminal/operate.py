@@ -25,11 +25,12 @@ from evaluation.observer import Observer
 from evaluation.report import output_folder, print_table, write_summary
 from evaluation.scoring import position_error_m, rotation_error_deg
 from evaluation.terminal.fingers import Fingers
+from evaluation.terminal.interruption import Interruption
 from evaluation.terminal.tmux import Terminal
 from protocol.codec import unpack
 from protocol.errors import FleetPoseError
 from protocol.keys import Keys, ordered_pair
-from protocol.messages import Alignment
+from protocol.messages import Alignment, PairCorrespondences
 from protocol.transport import Link, Sample
 
 SETTLE_S = 40.0  # for the machine to find what it can by itself
@@ -47,22 +48,36 @@ class OperateOptions:
     first: int = 0
     points: int = 3
     by_hand: bool = False
+    kill_server: bool = False
     columns: int = 160
     rows: int = 50
     theme: str = "auto"
 
 
 @dataclass
-class _Alignments:
-    """The newest alignment of each pair, as it comes."""
+class _Told:
+    """The newest alignment and set of correspondences of each pair, as they come."""
 
     newest: dict[tuple[str, str], Alignment] = field(default_factory=dict)
+    sets: dict[tuple[str, str], PairCorrespondences] = field(default_factory=dict)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def store(self, sample: Sample) -> None:
+        """Takes an alignment."""
         alignment = unpack(Alignment, sample.payload, sample.encoding)
         with self.lock:
             self.newest[alignment.view_i.robot, alignment.view_j.robot] = alignment
+
+    def store_set(self, sample: Sample) -> None:
+        """Takes a set of correspondences."""
+        known = unpack(PairCorrespondences, sample.payload, sample.encoding)
+        with self.lock:
+            self.sets[known.i, known.j] = known
+
+    def clicks(self, pair: tuple[str, str]) -> int:
+        """How many correspondences the server has of a pair."""
+        with self.lock:
+            return len(self.sets[pair].items) if pair in self.sets else 0
 
     def of(self, pair: tuple[str, str]) -> Alignment | None:
         with self.lock:
@@ -111,8 +126,9 @@ def _operated(
     options: OperateOptions,
     screens: Path,
 ) -> dict[str, Any]:
-    alignments = _Alignments()
-    link.on_latched(Keys(fleet.site).alignment("*", "*"), alignments.store)
+    told, keys_of = _Told(), Keys(fleet.site)
+    link.on_latched(keys_of.alignment("*", "*"), told.store)
+    link.on_latched(keys_of.correspondences("*", "*"), told.store_set)
     last = plan.names[-1]
     if not wait_running(fleet, lambda: _is_asked_about(observer, plan), SETTLE_S):
         raise FleetPoseError(f"after {SETTLE_S:.0f} s nothing is asked about the robot apart")
@@ -123,16 +139,19 @@ def _operated(
     with Terminal(command, options.columns, options.rows, state) as terminal:
         terminal.wait_text("Press n", 30.0)
         terminal.keep(screens, "start")
-        fingers = Fingers(terminal, observer, plan.truth, screens)
-        pair = ordered_pair(*fingers.answer(options.points, options.by_hand))
+        killed = Interruption(fleet, terminal, screens) if options.kill_server else None
+        fingers = Fingers(terminal, observer, plan.truth, screens, killed)
+        by_hand = options.by_hand or options.kill_server
+        pair = ordered_pair(*fingers.answer(options.points, by_hand))
         clicked_s = time.monotonic()
         joined = wait_running(fleet, lambda: _is_joined(observer, last), ANSWER_S)
         joined_s = time.monotonic() - clicked_s
+        kept = wait_running(fleet, lambda: told.clicks(pair) == len(fingers.picked), ANSWER_S)
         shown = joined and bool(terminal.wait_text("joined"))
         terminal.keep(screens, "joined" if joined else "not-joined")
         keys = terminal.keys
         seconds = time.monotonic() - began_s
-    result = _judged(plan, observer, alignments, pair)
+    result = _judged(plan, observer, told, pair)
     return {
         "robots": len(plan.names),
         "points": len(fingers.picked),
@@ -142,6 +161,8 @@ def _operated(
         "joined": joined,
         "joined_s": round(joined_s, 2),
         "shown": shown,
+        "lost": 0 if kept else len(fingers.picked) - told.clicks(pair),
+        **({} if killed is None else killed.said()),
         **result,
     }
 
@@ -163,10 +184,10 @@ def _is_joined(observer: Observer, robot: str) -> bool:
 
 
 def _judged(
-    plan: FleetPlan, observer: Observer, alignments: _Alignments, pair: tuple[str, str]
+    plan: FleetPlan, observer: Observer, told: _Told, pair: tuple[str, str]
 ) -> dict[str, Any]:
     """The pair's alignment beside the truth (DESIGN 11)."""
-    alignment = alignments.of(pair)
+    alignment = told.of(pair)
     seen = [observer.newest_view(robot) for robot in pair]
     nothing = {"verdict": None, "position_error_m": None, "rotation_error_deg": None, "ok": False}
     if alignment is None or alignment.T_i_j is None or seen[0] is None or seen[1] is None:

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from textual.app import App, ComposeResult
-from textual.binding import Binding
 from textual.containers import Container, Horizontal, Vertical
 from textual.driver import Driver
 from textual.widgets import Footer
@@ -14,7 +13,7 @@ from hmi_client.errors import OperatorError
 from hmi_client.guide import Expected, Guide
 from hmi_client.proposals import Proposal, Proposals
 from hmi_client.session import OperatorSession
-from hmi_client.text import palette
+from hmi_client.text import bindings, palette
 from hmi_client.text.driver import PatientDriver
 from hmi_client.text.image_panel import ImagePanel
 from hmi_client.text.list_panel import ListPanel
@@ -36,35 +35,14 @@ class FleetApp(App[None]):
         session: what is shown and commanded.
         fps: how often the session is looked at.
         failure: tells a bug of the connection, which ends the app.
+        keymap: the keys of the commands.
         driver: of the terminal; default: Textual's choice.
     """
 
     CSS = CSS
     ENABLE_COMMAND_PALETTE = False
     TITLE = "fleetpose"
-    BINDINGS = [  # noqa: RUF012, as Textual declares it
-        Binding("n", "question(1)", "Next", id="next"),
-        Binding("p", "question(-1)", "Prev", id="previous"),
-        Binding("u", "undo", "Undo", id="undo"),
-        Binding("r", "redo", "Redo", id="redo"),
-        Binding("x", "erase", "Erase", id="erase"),
-        Binding("c,escape", "cancel", "Cancel", id="cancel"),
-        Binding("f", "freeze", "Freeze", id="freeze"),
-        Binding("m", "maximise", "Max", id="maximise"),
-        Binding("o", "overview", "Overview", id="overview"),
-        Binding("y", "why", "Why", id="why"),
-        Binding("l", "events", "Events", id="events", show=False),
-        Binding("question_mark", "help", "Help", id="help"),
-        Binding("q", "quit", "Quit", id="quit"),
-        Binding("left_square_bracket", "threshold(-1)", "Hide", id="hide-more"),
-        Binding("right_square_bracket", "threshold(1)", "Show", id="show-more"),
-        *(
-            Binding(str(n), f"panel({n})", show=False, id=f"panel-{name}")
-            for n, name in enumerate(("map", "matrix", "list", "left", "right"), start=1)
-        ),
-        Binding("ctrl+l", "redraw", "Draw anew", id="redraw", show=False),
-        Binding("ctrl+c", "quit", show=False, priority=True),
-    ]
+    BINDINGS = bindings.EVERYWHERE  # pyright: ignore[reportAssignmentType]
 
     def __init__(
         self,
@@ -72,8 +50,10 @@ class FleetApp(App[None]):
         fps: float = 10.0,
         failure: Callable[[], Exception | None] = lambda: None,
         driver: type[Driver] | None = None,
+        keymap: bindings.KeyMap = bindings.KeyMap({}),  # noqa: B008, it cannot be changed
     ) -> None:
         super().__init__(driver_class=driver)
+        self.keymap = keymap
         self.session = session
         self._period_s = 1.0 / fps
         self._failure = failure
@@ -87,7 +67,7 @@ class FleetApp(App[None]):
         self.matrix = MatrixPanel(session)
         self.list = ListPanel(session)
         self.images = (ImagePanel(session, self.guide, 0), ImagePanel(session, self.guide, 1))
-        self.status = StatusPanel(session, self.proposals)
+        self.status = StatusPanel(session, self.proposals, keymap.names())
         self.panels: tuple[PanelMixin, ...] = (self.map, self.matrix, self.list, *self.images)
 
     def get_css_variables(self) -> dict[str, str]:
@@ -106,6 +86,7 @@ class FleetApp(App[None]):
         yield Footer(compact=True)
 
     def on_mount(self) -> None:
+        self.set_keymap(dict(self.keymap.changed))
         self.matrix.focus()
         self.set_interval(self._period_s, self.tick)
 
@@ -225,15 +206,7 @@ class FleetApp(App[None]):
     # ---- pages -----------------------------------------------------------------------------------
 
     def action_help(self) -> None:
-        panels = (
-            ("Everywhere", self.BINDINGS),
-            ("Images", ImagePanel.BINDINGS),
-            ("Matrix", MatrixPanel.BINDINGS),
-            ("Map", MapPanel.BINDINGS),
-            ("List", ListPanel.BINDINGS),
-        )
-        keys = [(where, [b for b in of if isinstance(b, Binding)]) for where, of in panels]
-        self.push_screen(Page("keys and signs", lambda: help_text(keys)))
+        self.push_screen(Page("keys and signs", lambda: help_text(self.keymap)))
 
     def action_events(self) -> None:
         self.push_screen(Page("events, the newest first", lambda: events_text(self.session)))

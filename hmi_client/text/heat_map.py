@@ -13,9 +13,9 @@ from hmi_client.text.palette import rgb
 from protocol.keys import ordered_pair
 
 LEVELS = 256
-# Blue to yellow (cividis): in order for everybody, also for those who tell few colours apart.
+# Dark blue over green to yellow (viridis): in order also for those who tell few colours apart.
 RAMP: Image = np.asarray(
-    cv2.applyColorMap(np.arange(LEVELS, dtype=np.uint8)[:, None], cv2.COLORMAP_CIVIDIS), np.uint8
+    cv2.applyColorMap(np.arange(LEVELS, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS), np.uint8
 )[:, 0]
 
 

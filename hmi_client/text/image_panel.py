@@ -6,7 +6,6 @@ from textwrap import wrap
 
 from rich.segment import Segment
 from textual import events
-from textual.binding import Binding
 from textual.message import Message
 from textual.strip import Strip
 
@@ -15,6 +14,7 @@ from hmi_client.errors import OperatorError, PictureError
 from hmi_client.guide import Expected, Guide
 from hmi_client.model import Entry, Picture, PixelUV
 from hmi_client.session import OperatorSession
+from hmi_client.text import bindings
 from hmi_client.text.arrangement import Arrangement, arrange, fit
 from hmi_client.text.cells import (
     FINE_BITS,
@@ -40,25 +40,7 @@ class ImagePanel(Panel):
     """The picture of robot i (side 0) or j (side 1) of the selected pair."""
 
     TOPICS = ("pictures", "selection", "correspondences", "depths")
-    BINDINGS = [  # noqa: RUF012, as Textual declares it
-        Binding("space,enter", "pick", "Pick", id="pick"),
-        Binding("g", "hint", "Go to", id="go"),
-        Binding("s", "snap", "Snap", id="snap"),
-        Binding("tab", "suggestion(1)", "Suggested", id="accept"),
-        Binding("shift+tab", "suggestion(-1)", "Skip", id="skip", show=False),
-        Binding("v", "move_point", "Move", id="move", show=False),
-        Binding("plus,equals_sign", "zoom(1.5)", "Zoom", id="zoom-in", show=False),
-        Binding("minus", "zoom(0.6667)", "out", id="zoom-out", show=False),
-        Binding("0", "fit", "Fit", id="fit", show=False),
-        Binding("up", "move(0,-1)", show=False),
-        Binding("down", "move(0,1)", show=False),
-        Binding("left", "move(-1,0)", show=False),
-        Binding("right", "move(1,0)", show=False),
-        Binding("shift+up", "move(0,-10)", show=False),
-        Binding("shift+down", "move(0,10)", show=False),
-        Binding("shift+left", "move(-10,0)", show=False),
-        Binding("shift+right", "move(10,0)", show=False),
-    ]
+    BINDINGS = bindings.IMAGES  # pyright: ignore[reportAssignmentType]
 
     class Picked(Message):
         """A point was picked in this panel; `complete` if it was the second one."""
@@ -358,7 +340,7 @@ class ImagePanel(Panel):
             self.notify("There is no confirmed point here to move.", timeout=3)
             return
         if not self._overlay().is_of_this_view(entry):
-            what = f"Point {entry.id} was clicked in another view: Enter in the list shows that."
+            what = f"Point {entry.id} was clicked in another view: choose it in the list to see it."
             self.notify(what, severity="warning", timeout=4)
             return
         try:

@@ -3,13 +3,13 @@
 from rich.segment import Segment
 from rich.style import Style
 from textual import events
-from textual.binding import Binding
 from textual.message import Message
 from textual.strip import Strip
 
 from hmi_client.matrix import length_text
 from hmi_client.model import Entry
 from hmi_client.session import OperatorSession
+from hmi_client.text import bindings
 from hmi_client.text.cells import MARKER_COLOURS
 from hmi_client.text.palette import style
 from hmi_client.text.panel import Panel
@@ -28,11 +28,7 @@ class ListPanel(Panel):
     """One line per correspondence; the numbers and colours are those of the markers."""
 
     TOPICS = ("correspondences", "selection", "updates")
-    BINDINGS = [  # noqa: RUF012, as Textual declares it
-        Binding("up", "move(-1)", show=False),
-        Binding("down", "move(1)", show=False),
-        Binding("enter", "show", "Show"),
-    ]
+    BINDINGS = bindings.LIST  # pyright: ignore[reportAssignmentType]
 
     class Shown(Message):
         """An entry was chosen: the cursors should go to its pixels."""
@@ -85,7 +81,7 @@ class ListPanel(Panel):
             segments.append(Segment(pixels(entry), paint("dim")))
         return Strip(segments).adjust_cell_length(columns, paint("dim"))
 
-    def action_move(self, step: int) -> None:
+    def action_move(self, _: int, step: int) -> None:
         self.at = min(max(self.at + step, 0), max(len(self.session.entries()) - 1, 0))
         self.repaint()
 
@@ -99,7 +95,7 @@ class ListPanel(Panel):
         if offset is not None:
             rows, count = self.extent.height, len(self.session.entries())
             self.at = max(0, min(self.at - rows // 2, count - rows)) + offset.y
-            self.action_move(0)
+            self.action_move(0, 0)
             self.action_show()
 
 

@@ -1,16 +1,16 @@
 """The left panel: the fleet from above, in braille dots; the anchor stands at the centre."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from textual.binding import Binding
 from textual.strip import Strip
 
 from hmi_client.ground import ground_ellipse, heading_rad, position
 from hmi_client.matrix import length_text, natural
 from hmi_client.session import OperatorSession
+from hmi_client.text import bindings
 from hmi_client.text.cells import Canvas
 from hmi_client.text.palette import style
 from hmi_client.text.panel import Panel
@@ -23,16 +23,23 @@ STEP = 1.25  # scales come in such steps, so that a moving robot does not repain
 
 @dataclass(frozen=True)
 class Projection:
-    """Metres on the ground (x right, y up, (0, 0) at the centre) to braille dots (y down)."""
+    """Metres on the ground (x right, y up) to braille dots (y down).
+
+    Attributes:
+        columns, rows: cells that there are.
+        metres_per_dot: the scale.
+        middle: what is at the centre, metres.
+    """
 
     columns: int
     rows: int
     metres_per_dot: float
+    middle: tuple[float, float] = (0.0, 0.0)
 
     def dots(self, xy: Floats) -> Floats:
         """(N, 2) metres to (N, 2) dots from the top left."""
         centre = np.array([self.columns, 2 * self.rows], float)
-        return centre + np.asarray(xy) * (1.0, -1.0) / self.metres_per_dot
+        return centre + (np.asarray(xy) - self.middle) * (1.0, -1.0) / self.metres_per_dot
 
     @classmethod
     def fitting(
@@ -72,43 +79,73 @@ def nice_length(metres: float) -> float:
     return max(step * power for step in (1, 2, 5) if step * power <= metres * (1 + 1e-9))
 
 
+def _rounded(place: Floats) -> tuple[float, float]:
+    """To decimetres: a pair that trembles does not repaint the whole map."""
+    x, y = np.round(place, 1).tolist()
+    return x, y
+
+
 class MapPanel(Panel):
     """Position on the ground and heading of every robot, with its uncertainty (2 sigma)."""
 
     TOPICS = ("poses", "fleet", "selection")
     SLOW = ("fleet", "poses")
-    BINDINGS = [  # noqa: RUF012, as Textual declares it
-        Binding("plus,equals_sign", "zoom(1.25)", "Zoom"),
-        Binding("minus", "zoom(0.8)", "out", show=False),
-        Binding("0", "fit", "Fit"),
-        Binding("e", "ellipses", "Ellipses"),
-    ]
+    BINDINGS = bindings.MAP  # pyright: ignore[reportAssignmentType]
 
     def __init__(self, session: OperatorSession) -> None:
         super().__init__(id="map")
         self.session = session
         self.zoom = 1.0
         self.ellipses = True
+        self.following = False
+        self._middle = (0.0, 0.0)
+        self._metres_per_dot = 1.0
 
     def action_zoom(self, factor: float) -> None:
         self.zoom = min(max(self.zoom * factor, 0.1), 100.0)
         self.repaint()
 
     def action_fit(self) -> None:
-        self.zoom = 1.0
+        """All robots, and (0, 0) at the centre."""
+        self.zoom, self._middle, self.following = 1.0, (0.0, 0.0), False
         self.repaint()
+
+    def action_move(self, right: int, down: int) -> None:
+        """Pans by a sixteenth of the map, or more; it no longer follows anybody."""
+        columns, rows = self.extent
+        step = self._metres_per_dot * max(2 * columns, 4 * rows) / 16
+        x, y = self._middle
+        self._middle, self.following = (x + right * step, y - down * step), False
+        self.repaint()
+
+    def action_follow(self) -> None:
+        """Keeps the selected pair in the middle, near enough to see how its robots stand."""
+        self.following = not self.following
+        self.repaint()
+
+    def _projection(self, places: dict[str, Floats]) -> Projection:
+        columns, rows = self.extent.width, self.extent.height - 3
+        xy = np.array(list(places.values())).reshape(-1, 2)
+        pair = [places[robot] for robot in self.session.pair or () if robot in places]
+        if self.following and pair:
+            self._middle = middle = _rounded(np.mean(pair, axis=0))
+            near = np.array(pair) - middle
+            fitted = Projection.fitting(columns, rows, near, self.zoom, margin=0.5)
+        else:
+            fitted = Projection.fitting(columns, rows, xy, self.zoom)
+        self._metres_per_dot = fitted.metres_per_dot
+        return replace(fitted, middle=self._middle)
 
     def action_ellipses(self) -> None:
         self.ellipses = not self.ellipses
         self.repaint()
 
     def paint(self) -> list[Strip]:
-        self.title("fleet from above")
+        self.title("fleet from above" + (", following the pair" if self.following else ""))
         poses, fleet = self.session.poses(), self.session.fleet
         columns, rows = self.extent
         places = layout(poses, fleet.anchor if fleet else None)
-        xy = np.array(list(places.values())).reshape(-1, 2)
-        projection = Projection.fitting(columns, rows - 3, xy, self.zoom)
+        projection = self._projection(places)
         canvas = Canvas(columns, rows)
         self._axes(canvas, projection)
         if self.ellipses:

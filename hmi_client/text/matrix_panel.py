@@ -3,7 +3,6 @@
 from rich.segment import Segment
 from rich.style import Style
 from textual import events
-from textual.binding import Binding
 from textual.geometry import Size
 from textual.message import Message
 from textual.scroll_view import ScrollView
@@ -23,6 +22,7 @@ from hmi_client.matrix import (
     title_of,
 )
 from hmi_client.session import OperatorSession
+from hmi_client.text import bindings
 from hmi_client.text.cells import Rows
 from hmi_client.text.heat_map import Grid, heat_map
 from hmi_client.text.palette import style
@@ -44,18 +44,7 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
 
     TOPICS = ("fleet", "selection", "settings")
     SLOW = ("fleet",)
-    BINDINGS = [  # noqa: RUF012, as Textual declares it
-        Binding("enter", "choose", "Select", id="select"),
-        Binding("t", "quantity", "Quantity", id="quantity"),
-        Binding("up", "move(-1,0)", show=False),
-        Binding("down", "move(1,0)", show=False),
-        Binding("left", "move(0,-1)", show=False),
-        Binding("right", "move(0,1)", show=False),
-        Binding("shift+up", "move(-8,0)", show=False),
-        Binding("shift+down", "move(8,0)", show=False),
-        Binding("shift+left", "move(0,-8)", show=False),
-        Binding("shift+right", "move(0,8)", show=False),
-    ]
+    BINDINGS = bindings.MATRIX  # pyright: ignore[reportAssignmentType]
 
     class Chosen(Message):
         """A cell was chosen: the two robots, in the order row, column."""
@@ -222,7 +211,7 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
         if (x, y) != (left, top):
             self.scroll_to(x, y, animate=False)
 
-    def action_move(self, rows: int, columns: int) -> None:
+    def action_move(self, columns: int, rows: int) -> None:
         last = max(len(self._matrix.robots) - 1, 0)
         row, column = self.cursor
         self.cursor = (min(max(row + rows, 0), last), min(max(column + columns, 0), last))

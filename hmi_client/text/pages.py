@@ -1,6 +1,6 @@
 """Pages of text over the panels: keys and signs, events, and why a robot is located or not."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 from textual.app import ComposeResult
 from textual.binding import Binding
@@ -9,12 +9,13 @@ from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from hmi_client.session import OperatorSession
+from hmi_client.text.bindings import PLACES, KeyMap, printed
 from hmi_client.why import why_record, why_text
 
 RENEWED_S = 0.5
 SIGNS = """
 Matrix   1.2   error of the pair, root mean square          bold  the largest of all
-         -     above the threshold, or rejected; [ and ] move it
+         -     above the threshold, or rejected; {hide} and {show} move it
          ~     known only through others                    ·     never tried
          •     points were clicked in this pair
 Map      ● located   ○ not   ─ heading   ⠒ two sigma        apart: not joined to the anchor
@@ -65,31 +66,19 @@ class Page(ModalScreen[None]):
             self.renew()
 
 
-def help_text(bindings: Iterable[tuple[str, Iterable[Binding]]]) -> str:
+def help_text(keymap: KeyMap) -> str:
     """All keys, by where they work, and what the signs mean."""
     parts = []
-    for where, keys in bindings:
-        lines = [f"  {key_names(b.key):<24}{b.description}" for b in keys if b.description]
+    for where, bindings in PLACES.items():
+        lines = []
+        for b in bindings:
+            if b.description:
+                keys = " ".join(map(printed, keymap.keys(b).split(",")))
+                lines.append(f"  {keys:<14}{b.description:<11}{b.tooltip}")
         parts.append("\n".join((where, *lines)))
-    return "\n\n".join((*parts, SIGNS))
-
-
-def key_names(keys: str) -> str:
-    """Keys as they are printed on a keyboard."""
-    names = {
-        "left_square_bracket": "[",
-        "right_square_bracket": "]",
-        "question_mark": "?",
-        "plus": "+",
-        "minus": "-",
-        "equals_sign": "=",
-        "shift+tab": "Shift-Tab",
-        "tab": "Tab",
-        "space": "Space",
-        "enter": "Enter",
-        "escape": "Esc",
-    }
-    return " ".join(names.get(key, key) for key in keys.split(","))
+    names = keymap.names()
+    signs = SIGNS.format(hide=names["hide-more"], show=names["show-more"])
+    return "\n\n".join((*parts, signs))
 
 
 def events_text(session: OperatorSession) -> str:

@@ -11,10 +11,11 @@ from hmi_client.recording.file import Recording
 from hmi_client.recording.player import PlayClock, PlayedSession, Player
 from hmi_client.text import palette
 from hmi_client.text.app import FleetApp
+from hmi_client.text.bindings import KeyMap
 from hmi_client.text.driver import PatientDriver
 from hmi_client.text.palette import style
 from hmi_client.text.panel import PanelMixin, line
-from hmi_client.text.run import own_screen
+from hmi_client.text.run import keymap_of, own_screen
 
 SKIP_S = 10.0
 
@@ -47,6 +48,7 @@ class ReplayApp(FleetApp):
         session: the recorded operator's.
         player: plays into it; it runs in a thread of its own.
         fps: how often the session is looked at.
+        keymap: the keys of the commands.
     """
 
     BINDINGS = [  # noqa: RUF012, as Textual declares it
@@ -54,10 +56,10 @@ class ReplayApp(FleetApp):
         Binding("full_stop", "skip", "Ahead", id="ahead"),
     ]
 
-    def __init__(self, session: PlayedSession, player: Player, fps: float = 10.0) -> None:
+    def __init__(self, session: PlayedSession, player: Player, fps: float, keymap: KeyMap) -> None:
         self._stop = threading.Event()
         self._failed: Exception | None = None
-        super().__init__(session, fps, lambda: self._failed, PatientDriver)
+        super().__init__(session, fps, lambda: self._failed, PatientDriver, keymap)
         self.player = player
         self.play = PlayPanel(player)
         self._thread = threading.Thread(name="hmi play", target=self._run_player, daemon=True)
@@ -100,6 +102,7 @@ def run_replay(
     threshold_m: float,
     log: Path | None,
     theme: palette.Choice = "auto",
+    keys: Path | None = None,
 ) -> None:
     """Plays a recording on the screen until q.
 
@@ -111,8 +114,9 @@ def run_replay(
     session = PlayedSession(recording, clock, threshold_m)
     player = Player(recording, session, clock)
     player.skip_to(start_s)
+    keymap = keymap_of(keys)
     with own_screen(log):
-        ReplayApp(session, player, fps).run()
+        ReplayApp(session, player, fps, keymap).run()
 
 
 def moment(seconds: float) -> str:

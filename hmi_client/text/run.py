@@ -17,6 +17,7 @@ from hmi_client.recording.file import Recorder
 from hmi_client.session import OperatorSession
 from hmi_client.text import palette
 from hmi_client.text.app import FleetApp
+from hmi_client.text.bindings import KeyMap
 from hmi_client.text.driver import PatientDriver
 from protocol.keys import checked_name
 from protocol.logs import log_to_file
@@ -32,6 +33,7 @@ def run_screen(
     threshold_m: float,
     log: Path | None,
     theme: palette.Choice = "auto",
+    keys: Path | None = None,
     record: Path | None = None,
 ) -> None:
     """Runs the app until the operator quits; it also starts without a router and waits for one.
@@ -42,12 +44,14 @@ def run_screen(
         threshold_m: errors above it are hidden.
         log: the log file; default: in the state folder.
         theme: the colours.
+        keys: a file of keys; default: that in the user's config folder, if there is one.
         record: a file that all messages are recorded in.
 
     Raises:
-        OperatorError: the log or the recording cannot be written.
+        OperatorError: the log or the recording cannot be written, or the keys are not right.
     """
     palette.use(palette.theme_for(theme))
+    keymap = keymap_of(keys)
     with ExitStack() as closing:
         closing.enter_context(own_screen(log))
         kept = own_updates(where)
@@ -62,7 +66,7 @@ def run_screen(
         client.start_in_background()
         gc.freeze()
         gc.set_threshold(50_000, 20, 50)
-        FleetApp(session, fps, lambda: client.failure, PatientDriver).run()
+        FleetApp(session, fps, lambda: client.failure, PatientDriver, keymap).run()
     if recorder is not None:
         print(recorder.report())
 
@@ -137,6 +141,19 @@ def is_complete(session: OperatorSession) -> bool:
     """Whether poses and, with a pair selected, both images are there."""
     images = all(session.picture(robot) is not None for robot in session.pair or ())
     return bool(session.poses()) and images
+
+
+def keymap_of(path: Path | None) -> KeyMap:
+    """The keys by a file, or by that in the user's config folder if there is one.
+
+    Raises:
+        OperatorError: the file is not right.
+    """
+    config = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
+    usual = Path(config) / "fleetpose" / "keys.toml"
+    if path is None and not usual.exists():
+        return KeyMap({})
+    return KeyMap.read(path or usual)
 
 
 def default_log() -> Path:

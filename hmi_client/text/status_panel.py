@@ -1,5 +1,7 @@
 """The lines at the bottom: what to do next, why, what happened last, what the server confirmed."""
 
+from collections.abc import Mapping
+
 from rich.segment import Segment
 from textual.strip import Strip
 
@@ -13,10 +15,13 @@ from hmi_client.text.panel import PanelMixin, line
 class StatusPanel(PanelMixin):
     """Three lines; painted at every tick, since silence has no event."""
 
-    def __init__(self, session: OperatorSession, proposals: Proposals) -> None:
+    def __init__(
+        self, session: OperatorSession, proposals: Proposals, keys: Mapping[str, str]
+    ) -> None:
         super().__init__(id="status")
         self.session = session
         self.proposals = proposals
+        self._keys = keys
 
     def paint(self) -> list[Strip]:
         session, width = self.session, self.extent.width
@@ -34,7 +39,7 @@ class StatusPanel(PanelMixin):
             ],
         )
         lines = [
-            line(f" {next_step(session, self.proposals)}", width, step),
+            line(f" {next_step(session, self.proposals, self._keys)}", width, step),
             line(f" {reason(session)}", width, style("on why", "why")),
             last.adjust_cell_length(width, style("dim")),
         ]
