@@ -74,6 +74,9 @@ def reason(session: OperatorSession) -> str:
         cell = session.cell(session.pair)
     asked = question is not None and (session.pair in (None, (question.i, question.j)))
     parts = []
+    others = session.others().get(session.pair, ()) if session.pair else ()
+    if others:
+        parts.append(f"{' and '.join(others)} {'is' if len(others) == 1 else 'are'} here too")
     answer = answer_of(session)
     if answer is not None:
         parts.append(f"Done: {answer.text}")

@@ -21,6 +21,7 @@ from protocol.messages import (
     PairCorrespondences,
     Receipts,
     RobotPose,
+    Selection,
     ServerStatus,
 )
 from protocol.transport import ENCODING_JPEG, Sample
@@ -64,6 +65,9 @@ def opened(keys: Keys, sample: Sample) -> Message:
         case ["operator", operator, "receipts"]:
             receipts = read(Receipts)
             return _of(receipts, receipts.operator == operator)
+        case ["operator", operator, "selection"]:
+            selection = read(Selection)
+            return _of(selection, selection.operator == operator)
         case ["robot", robot, "camera"]:
             announced = read(CameraAnnouncement)
             return _of(announced, announced.robot == robot)

@@ -13,7 +13,7 @@ from protocol.drops import Drops
 
 Topic = (
     Literal["fleet", "poses", "alignment", "correspondences", "pictures"]
-    | Literal["selection", "updates", "events", "status", "settings", "drops", "depths"]
+    | Literal["selection", "updates", "events", "status", "settings", "drops", "depths", "others"]
 )
 
 

@@ -121,6 +121,7 @@ class Client:
             self.keys.poses,
             self.keys.correspondences("*", "*"),
             self.keys.receipts(operator),
+            self.keys.selection("*"),
             self.keys.camera("*"),
             self.keys.alignment("*", "*"),
         ):

@@ -23,11 +23,14 @@ from protocol.messages import (
     Receipts,
     RobotPose,
     RobotState,
+    Selection,
     ServerStatus,
     ViewName,
 )
 
 MAX_PAIRS = 20_000
+MAX_OPERATORS = 1_000  # names may be anybody's invention
+FORGOTTEN_S = 16.0  # an operator's selection is told again at least three times until then
 SILENT_S = 2.5  # the state comes at 2 to 5 Hz; after this long without it the server counts as gone
 
 
@@ -60,6 +63,7 @@ class Feed(Changes):
         self._fleet_s: float | None = None
         self._holding: tuple[ViewName, ViewName] | None = None
         self._depths: dict[ViewName, Depths] = {}
+        self._others: dict[str, tuple[Selection, float]] = {}
 
     # ---- the fleet -------------------------------------------------------------------------------
 
@@ -119,6 +123,16 @@ class Feed(Changes):
         """The question about the selected pair if there is one, else the best one."""
         questions = self.fleet.questions if self.fleet else ()
         return next((q for q in questions if (q.i, q.j) == self.pair), next(iter(questions), None))
+
+    def others(self) -> dict[Pair, tuple[str, ...]]:
+        """Which other operators look at which pairs now."""
+        with self._changed:
+            found: dict[Pair, tuple[str, ...]] = {}
+            for name, (selection, told_s) in sorted(self._others.items()):
+                if selection.i and selection.j and self.clock() - told_s < FORGOTTEN_S:
+                    pair = (selection.i, selection.j)
+                    found[pair] = (*found.get(pair, ()), name)
+            return found
 
     # ---- pictures --------------------------------------------------------------------------------
 
@@ -270,6 +284,24 @@ class Feed(Changes):
         with self._changed:
             self.status = status
             self._bump("status")
+
+    def on_selection(self, selection: Selection) -> None:
+        """Takes what an operator looks at; one's own is known.
+
+        Raises:
+            CodecError: there are more operators than any fleet has.
+        """
+        name = selection.operator
+        if name == self._book.operator:
+            return
+        with self._changed:
+            known = self._others.get(name)
+            if known is None and len(self._others) >= MAX_OPERATORS:
+                raise CodecError(f"selections of more than {MAX_OPERATORS} operators")
+            self._others[name] = selection, self.clock()
+            before = known[0] if known else None
+            if before is None or (before.i, before.j) != (selection.i, selection.j):
+                self._bump("others")
 
     def on_picture(self, picture: Picture) -> None:
         """Takes a picture of a selected robot; it waits until the server has taken its view, and

@@ -16,6 +16,7 @@ from protocol.messages import (
     PairCorrespondences,
     Receipts,
     RobotPose,
+    Selection,
     ServerStatus,
 )
 from protocol.transport import Sample
@@ -69,6 +70,8 @@ class Intake:
                 session.on_correspondences(content)
             case Receipts():
                 session.on_receipts(content)
+            case Selection():
+                session.on_selection(content)
             case Picture():
                 session.on_picture(content)
 

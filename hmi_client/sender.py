@@ -12,7 +12,7 @@ from protocol.messages import OperatorUpdate, Selection
 from protocol.transport import Link, Sample
 
 REPEAT_S = 1.0  # an update is offered again after this long without a receipt
-RETELL_S = 5.0  # frozen views are named again after this long: a server forgets selections
+RETELL_S = 5.0  # a selection is told again after this long: servers and operators forget them
 
 
 class Sender:
@@ -52,6 +52,9 @@ class Sender:
             self._offer_updates()
             self._session.wait_change(seen, ("selection", "updates"), REPEAT_S / 4)
         self._want_images(())
+        nothing = {"i": None, "j": None, "view_i": None, "view_j": None}
+        left = self._session.selection().model_copy(update=nothing)
+        self._selection.put(pack(left), encoding_of(Selection))
 
     def _offer_updates(self) -> None:
         """Offers open updates in order, and again while no receipt covers them."""
@@ -66,11 +69,10 @@ class Sender:
         self._offered_s = offered
 
     def _follow_selection(self) -> None:
-        """Tells the selection when it changes, to each new server, and while views are frozen."""
+        """Tells the selection when it changes, to each new server, and again and again."""
         selection, fleet = self._session.selection(), self._session.fleet
         server = fleet.server_epoch if fleet else None
-        frozen = selection.view_i is not None or selection.view_j is not None
-        late = frozen and time.monotonic() - self._told_s >= RETELL_S
+        late = time.monotonic() - self._told_s >= RETELL_S
         if selection != self._told:
             self._want_images(robot for robot in (selection.i, selection.j) if robot)
         elif server == self._told_to and not late:

@@ -99,9 +99,11 @@ def targets_of(keys: Keys, robots: list[str], heard: Mapping[str, Sample]) -> li
     ]
     found += [Target(SERVER, heard[keys.cloud(r)], VIEW_KINDS, server.cloud, (), 2) for r in robots]
     for key, message in _said_by_operators(keys, robots):
-        elsewhere = (keys.updates("op-other"), keys.selection("op-other"))
         good = Sample(key, pack(message), encoding_of(type(message)))
-        found.append(Target(SERVER, good, MESSAGE_KINDS, server.operator, elsewhere, 300))
+        selects = isinstance(message, Selection)  # which the other operators' clients read as well
+        readers = (*SERVER, *CLIENT) if selects else SERVER
+        elsewhere = (keys.selection("op-other") if selects else keys.updates("op-other"),)
+        found.append(Target(readers, good, MESSAGE_KINDS, server.operator, elsewhere, 300))
     for robot in robots:
         moment = Odometry(
             robot=robot,

@@ -21,6 +21,7 @@ from hmi_client.matrix import (
     matrix_of,
     title_of,
 )
+from hmi_client.model import Pair
 from hmi_client.session import OperatorSession
 from hmi_client.text import bindings
 from hmi_client.text.cells import Rows
@@ -30,7 +31,7 @@ from hmi_client.text.panel import PanelMixin, line
 from protocol.keys import ordered_pair
 
 TONES = {"verified": "text", "plausible": "plausible", "ambiguous": "ambiguous", None: "faint"}
-CLICKED = "•"
+CLICKED, WATCHED = "•", "◂"
 MAX_NAME = 9
 
 
@@ -42,7 +43,7 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
     ScrollView comes first among the bases: a widget inherits the style sheet of the first only.
     """
 
-    TOPICS = ("fleet", "selection", "settings")
+    TOPICS = ("fleet", "selection", "settings", "others")
     SLOW = ("fleet",)
     BINDINGS = bindings.MATRIX  # pyright: ignore[reportAssignmentType]
 
@@ -60,9 +61,10 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
         self._matrix = Matrix((), "cm", {})
         self.quantity: Quantity = "rms"
         self._shows: tuple[str, int, float, Quantity] | None = None
-        self._selected: tuple[str, str] | None = None
+        self._selected: Pair | None = None
         self.overview = False
         self._rows: Rows | None = None
+        self._others: dict[Pair, tuple[str, ...]] = {}
 
     # ---- geometry --------------------------------------------------------------------------------
 
@@ -100,6 +102,7 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
                 self._matrix = matrix_of(fleet, threshold_m, self.quantity)
         if self.overview:
             return self._paint_overview()
+        self._others = session.others()
         count = len(self._matrix.robots)
         size = Size(self.head + count * self.pitch, count + 1)
         if size != self.virtual_size:
@@ -174,6 +177,8 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
         a, b = self._matrix.robots[row], self._matrix.robots[column]
         cell = self._matrix.at(a, b)
         mark = CLICKED if cell.clicked else " "
+        if a != b and ordered_pair(a, b) in self._others:
+            mark = WATCHED
         selected = a != b and ordered_pair(a, b) == self.session.pair
         at_cursor = (row, column) == self.cursor and self.has_focus
         return Segment(

@@ -17,7 +17,7 @@ SIGNS = """
 Matrix   1.2   error of the pair, root mean square          bold  the largest of all
          -     above the threshold, or rejected; {hide} and {show} move it
          ~     known only through others                    ·     never tried
-         •     points were clicked in this pair
+         •     points were clicked in this pair               ◂     another operator is there
 Map      ● located   ○ not   ─ heading   ⠒ two sigma        apart: not joined to the anchor
 Image    1 a point that was clicked   1! contradicts the solution   x rejected or being erased
          ◆ the half that was picked   ◇ where the other half is expected

@@ -108,3 +108,17 @@ def test_garbage_is_counted_and_harmless(client_of, serve):
     wait_for(lambda: client.drops["not msgpack"] == 1)
     n = session.fleet.n
     wait_for(lambda: session.fleet.n > n)
+
+
+def test_operators_see_where_the_others_are_and_that_they_leave(client_of, serve):
+    _, anna, _ = ready(client_of, serve)
+    ben = OperatorSession("ben")
+    client = client_of(ben)
+    wait_for(lambda: ben.fleet is not None)
+    ben.select("r3", "r4")
+    wait_for(lambda: anna.others() == {("r3", "r4"): ("ben",)})
+    anna.select("r3", "r4")
+    wait_for(lambda: ben.others() == {("r3", "r4"): ("anna",)})
+    assert anna.others() == {("r3", "r4"): ("ben",)}  # not oneself
+    client.close()
+    wait_for(lambda: anna.others() == {})

@@ -8,8 +8,11 @@ from typer.testing import CliRunner
 
 from hmi_client.commands import app as commands
 from hmi_client.errors import OperatorError
+from hmi_client.feed import FORGOTTEN_S
 from hmi_client.text.app import FleetApp
 from hmi_client.text.bindings import PLACES, KeyMap
+from hmi_client.text.matrix_panel import WATCHED
+from protocol.messages import Selection
 
 
 def keymap(tmp_path, toml: str) -> KeyMap:
@@ -100,3 +103,19 @@ async def test_the_map_pans_follows_the_pair_and_comes_back(session):
         assert app.map._middle == pytest.approx((2.2, 1.3), abs=0.2)
         await press(pilot, "left")
         assert not app.map.following
+
+
+async def test_another_operator_is_shown_at_the_pair_and_forgotten_after_a_while(session, clock):
+    ben = Selection(operator="ben", session="0" * 12, i="r1", j="r2", view_i=None, view_j=None)
+    async with screen(session) as (app, pilot):
+        session.on_selection(ben)
+        await press(pilot)
+        assert f"1.0{WATCHED}" in text(app.matrix)
+        await selected(session, pilot)
+        assert "ben is here too" in text(app.status)
+        session.on_selection(ben.model_copy(update={"operator": "anna"}))
+        assert "anna" not in text(app.status)
+        clock.now += FORGOTTEN_S
+        app.matrix.repaint()
+        app.tick()
+        assert WATCHED not in text(app.matrix) and "ben" not in text(app.status)
