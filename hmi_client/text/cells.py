@@ -16,12 +16,16 @@ from rich.segment import Segment
 from rich.style import Style
 from textual.strip import Strip
 
-from hmi_client.text.palette import style, theme
+from hmi_client.text.palette import few_colours, style, theme
 
 Image = npt.NDArray[np.uint8]
 OUTSIDE_BGR = (30, 24, 20)  # beyond the edge of an image
 FINE_BITS, LIVE_BITS = 5, 4
 _GREYS = " .:-=+*#%@"
+_FEW_GREYS = np.array((0x000000, 0x555555, 0xAAAAAA, 0xFFFFFF), np.int32)  # as Rich knows the 16
+_BAYER = (
+    np.array(((0, 8, 2, 10), (12, 4, 14, 6), (3, 11, 1, 9), (15, 7, 13, 5)), np.float64) + 0.5
+) / 16
 # The palette of Okabe and Ito is told apart by colour-blind people; the numbers say the same.
 MARKER_COLOURS = (
     *("#e69f00", "#56b4e9", "#009e73", "#f0e442"),
@@ -110,6 +114,22 @@ def steadied(image: Image, shown: Image | None, noise: int) -> Image:
     return np.where((off > noise)[..., None], image, shown)
 
 
+def shades_of(image: Image, bits: int) -> npt.NDArray[np.int32]:
+    """(rows, columns, 3) BGR as 0xRRGGBB of so many bits per channel; white stays white."""
+    lost = 8 - bits
+    bgr = (image >> lost << lost | image >> bits).astype(np.int32)
+    return bgr[..., 2] << 16 | bgr[..., 1] << 8 | bgr[..., 0]
+
+
+def greys_of(image: Image) -> npt.NDArray[np.int32]:
+    """The same in the few greys that every terminal has, dithered: what is dark stays dark."""
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.float64)
+    rows, columns = grey.shape
+    raster = np.tile(_BAYER, (rows // 4 + 1, columns // 4 + 1))[:rows, :columns]
+    steps = len(_FEW_GREYS) - 1
+    return _FEW_GREYS[np.minimum((grey / 255.0 * steps + raster).astype(int), steps)]
+
+
 @dataclass(frozen=True)
 class Rows:
     """The strips of an image from top to bottom, and what each was made of."""
@@ -142,9 +162,7 @@ class HalfBlocks:
 
     def __init__(self, image: Image, bits: int = FINE_BITS) -> None:
         """Takes (2 rows, columns, 3) BGR, and how many bits of each channel are to be seen."""
-        lost = 8 - bits
-        bgr = (image >> lost << lost | image >> bits).astype(np.int32)  # white stays white
-        packed = bgr[..., 2] << 16 | bgr[..., 1] << 8 | bgr[..., 0]
+        packed = greys_of(image) if few_colours() else shades_of(image, bits)
         self.top, self.bottom = packed[0::2].copy(), packed[1::2].copy()
         self._over: dict[int, dict[int, tuple[str, Style]]] = {}
 

@@ -78,6 +78,7 @@ _COLOURS: Mapping[Theme, Mapping[str, str]] = {
 }
 _REVERSED = ("red", "red cursor", "cursor", "step", "hint")
 _state: dict[str, Theme] = {"theme": "dark"}
+_few = {"colours": False}
 
 
 def use(theme: Theme) -> None:
@@ -89,6 +90,16 @@ def use(theme: Theme) -> None:
 def theme() -> Theme:
     """The theme in use."""
     return _state["theme"]
+
+
+def has(colour_system: str | None) -> None:
+    """Tells how many colours the terminal has: `standard`, `256`, `truecolor`; none: not known."""
+    _few["colours"] = colour_system == "standard"
+
+
+def few_colours() -> bool:
+    """Whether the terminal has no more than 16."""
+    return _few["colours"]
 
 
 def theme_for(choice: Choice, environment: Mapping[str, str] = os.environ) -> Theme:

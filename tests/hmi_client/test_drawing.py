@@ -7,6 +7,7 @@ import pytest
 from hmi_fakes import pose
 
 from hmi_client.ground import ground_ellipse, heading_rad, position_covariance, position_sigma_m
+from hmi_client.text import palette
 from hmi_client.text.arrangement import MIN_LOUPE, arrange, fit
 from hmi_client.text.cells import Canvas, HalfBlocks, Window, braille_of, sample
 from hmi_client.text.map_panel import Projection, layout, nice_length
@@ -182,3 +183,17 @@ def test_only_the_changed_span_of_a_line_is_sent():
 
 def test_long_names_keep_their_end():
     assert shorten("warehouse-robot-17", 6) == "…ot-17"
+
+
+def test_a_terminal_of_16_colours_gets_greys_that_are_brighter_where_the_image_is():
+    ramp = np.repeat(np.arange(0, 256, 4, dtype=np.uint8)[None, :, None], 16, axis=0)
+    palette.has("standard")
+    try:
+        picture = HalfBlocks(np.repeat(ramp, 3, axis=2))
+    finally:
+        palette.has("truecolor")
+    shades = np.vstack((picture.top, picture.bottom)) & 0xFF
+    assert set(np.unique(shades)) == {0x00, 0x55, 0xAA, 0xFF}
+    brightness = shades.mean(axis=0).reshape(-1, 8).mean(axis=1)
+    assert (np.diff(brightness) > 0).all()
+    assert np.abs(brightness - ramp[0, :, 0].reshape(-1, 8).mean(axis=1)).max() < 12

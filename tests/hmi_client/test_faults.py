@@ -1,6 +1,5 @@
 """Restarts, lost messages and bad input between a client and a fake server, over real zenoh."""
 
-
 import pytest
 from hmi_fakes import CAMERA, view, wait_for
 from hmi_server import Journal
