@@ -1,5 +1,5 @@
-"""Updates that click in a view which the server never got and its robot may still have: they wait
-for the answer, and are judged by it.
+"""Updates that must wait before they are judged: for a view that the server never got and its robot
+may still have, or, soon after a start, for the robot itself.
 """
 
 from collections.abc import Callable
@@ -7,6 +7,7 @@ from collections.abc import Callable
 from protocol.messages import OperatorUpdate, ViewName
 
 _MOST_WAITING = 1000  # beyond, an operator's client repeats what it sent
+_YOUNG_S = 10.0  # after a start everybody comes back in any order, operators before robots too
 
 
 class Awaiting:
@@ -39,3 +40,35 @@ class Awaiting:
             views.discard(view)
         ready = [key for key, (_, views) in self._waiting.items() if not views]
         return [self._waiting.pop(key)[0] for key in sorted(ready)]
+
+
+class EarlyUpdates:
+    """Updates about robots that a server has not heard of yet, while it is young.
+
+    Args:
+        began_s: when the server began, monotonic seconds.
+        is_here: whether a robot of that name has been heard of.
+    """
+
+    def __init__(self, began_s: float, is_here: Callable[[str], bool]) -> None:
+        self._old_s = began_s + _YOUNG_S
+        self._is_here = is_here
+        self._held: dict[tuple[str, str, int], OperatorUpdate] = {}
+
+    def holds(self, update: OperatorUpdate, now_s: float) -> bool:
+        """Whether the update waits now; one that finds no room is repeated by its client."""
+        if now_s >= self._old_s or self._are_here(update):
+            return False
+        if len(self._held) < _MOST_WAITING:
+            self._held[update.operator, update.session, update.n] = update
+        return True
+
+    def ready(self, now_s: float) -> list[OperatorUpdate]:
+        """Those that wait no longer, in order."""
+        old = now_s >= self._old_s
+        keys = [key for key, update in self._held.items() if old or self._are_here(update)]
+        return [self._held.pop(key) for key in sorted(keys)]
+
+    def _are_here(self, update: OperatorUpdate) -> bool:
+        views = (update.view_i, update.view_j)
+        return all(self._is_here(view.robot) for view in views if view is not None)

@@ -12,7 +12,7 @@ from concurrent.futures import Future
 from contextlib import suppress
 
 from pose_server import alarms, answers, pipeline, widening
-from pose_server.awaiting import Awaiting
+from pose_server.awaiting import Awaiting, EarlyUpdates
 from pose_server.correspondences.book import Outcome
 from pose_server.correspondences.journal import Journal, StoredView
 from pose_server.correspondences.records import JournalError, Session
@@ -71,6 +71,7 @@ class Service:
         self._engine = Engine(pool, self._queue.put)
         self._fetcher = Fetcher(self.keys, link.query, self._queue.put, self._drops)
         self._awaiting = Awaiting(self._fetcher.ask)
+        self._early = EarlyUpdates(time.monotonic(), self._is_here)
         self._load = Load(time.monotonic())
         self._keeper = Keeper(
             settings.state_dir / GRAPH, lambda said: self._queue.put(Noticed(said))
@@ -142,6 +143,8 @@ class Service:
                 if time.monotonic() > end_s:
                     break
                 event = self._queue.get_nowait()
+        for update in self._early.ready(time.monotonic()):
+            self._updated(update)
         self._answer_operators()
 
     def _handle(self, event: object) -> None:
@@ -232,23 +235,19 @@ class Service:
         pipeline.take_result(self.site, done, time.monotonic())
         self._ask_for_wide_sets()
         i, j = done.job.i.name, done.job.j.name
-        if done.result is not None and i.robot != j.robot:
-            self._teller.alignment(i, j, done.result)
-            log.info(
-                "aligned i=%s j=%s verdict=%s start=%s inliers=%d reasons=%s",
-                i,
-                j,
-                done.result.verdict,
-                done.result.start,
-                done.result.inliers,
-                "; ".join(done.result.reasons),
-            )
+        result = done.result
+        if result is not None and i.robot != j.robot:
+            self._teller.alignment(i, j, result)
+            found = (result.verdict, result.start, result.inliers, "; ".join(result.reasons))
+            log.info("aligned i=%s j=%s verdict=%s start=%s inliers=%d reasons=%s", i, j, *found)
 
     def _ask_for_wide_sets(self) -> None:
         for view in widening.wanted(self.site):
             self._fetcher.ask_wide(view)
 
     def _updated(self, update: OperatorUpdate) -> None:
+        if self._early.holds(update, time.monotonic()):
+            return
         views = {view for view in (update.view_i, update.view_j) if view is not None}
         missing = {view for view in views if view not in self.site.views and self._lives(view)}
         if missing and self._awaiting.parks(update, missing):
@@ -260,7 +259,8 @@ class Service:
             self.site.say(f"the journal cannot be written: {error}")
             return
         for outcome in outcomes:
-            log.info("update operator=%s n=%d %s", update.operator, outcome.n, _said(outcome))
+            said = "accepted" if outcome.accepted else f"rejected reason={outcome.reason}"
+            log.info("update operator=%s n=%d %s", update.operator, outcome.n, said)
         self._unclicked |= any(outcome.action != "add" for outcome in outcomes)
         self._unanswered[update.operator, update.session] = update
         self._untold.update((ordered_pair(update.i, update.j), *(done.pair for done in outcomes)))
@@ -275,10 +275,12 @@ class Service:
         self._unanswered.clear()
         self._untold.clear()
 
+    def _is_here(self, robot: str) -> bool:
+        return robot in self.site.robots and self.site.robots[robot].epoch is not None
+
     def _lives(self, view: ViewName) -> bool:
         """Whether the robot that took a view is there and may still have it."""
-        robot = self.site.robots.get(view.robot)
-        return robot is not None and robot.epoch == view.epoch
+        return self._is_here(view.robot) and self.site.robots[view.robot].epoch == view.epoch
 
     def _ask_for_images(self, outcomes: list[Outcome]) -> None:
         """The images of clicked views are journalled, so that the clicks can be shown for ever."""
@@ -392,7 +394,3 @@ class Service:
             return asked.answer.result(_ANSWER_S)
         except TimeoutError:
             return Answer(error="the server is busy: ask again")
-
-
-def _said(outcome: Outcome) -> str:
-    return "accepted" if outcome.accepted else f"rejected reason={outcome.reason}"

@@ -77,6 +77,14 @@ class Terminal:
         report = f"\x1b[<{place}M\x1b[<{place}m"
         self._tmux("send-keys", "-H", *(f"{byte:02x}" for byte in report.encode()))
 
+    def resize(self, columns: int, rows: int) -> None:
+        """Gives the terminal another size."""
+        self._tmux("resize-window", "-x", str(columns), "-y", str(rows))
+
+    def spoil(self, text: str) -> None:
+        """Somebody else writes to the terminal."""
+        Path(self._tmux("display-message", "-p", "#{pane_tty}").strip()).write_text(text)
+
     def screen(self, colours: bool = False) -> list[str]:
         """The lines that are shown; with their escape sequences if colours are wanted."""
         text = self._tmux("capture-pane", "-p", *(["-e"] if colours else []))

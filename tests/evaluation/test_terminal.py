@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from evaluation.terminal.operate import run as run_operate
 from evaluation.terminal.reading import images_on
 from evaluation.terminal.tmux import Terminal
 from protocol.errors import FleetPoseError
+from protocol.transport import free_port
 from tests.data import shared_data
 
 in_tmux = pytest.mark.skipif(shutil.which("tmux") is None, reason="no tmux")
@@ -63,6 +65,34 @@ def test_a_fleet_in_two_pieces_is_joined_by_keys_alone(tmp_path):
     assert summary["verdict"] == "verified" and summary["ok"]
     assert summary["keys"] < 60
     assert len(list((tmp_path / "screens").glob("*.txt"))) >= 5
+
+
+@in_tmux
+@pytest.mark.timeout(150)
+def test_a_server_killed_in_mid_click_costs_nothing_and_the_screen_says_so(tmp_path):
+    data = shared_data("church_herzjesu")
+    summary = run_operate(OperateOptions(data, "sparse_noisy", kill_server=True), tmp_path)
+    assert summary["silence_said"] and summary["unconfirmed_said"] and summary["confirmed_said"]
+    assert summary["lost"] == 0 and summary["points"] == 3
+    assert summary["joined"] and summary["verdict"] == "verified" and summary["ok"]
+
+
+@in_tmux
+def test_what_was_drawn_over_and_other_sizes_are_drawn_anew(tmp_path):
+    nobody = f"tcp/127.0.0.1:{free_port()}"
+    command = [sys.executable, "-P", "-m", "hmi_client", "screen", "--connect", nobody]
+    with Terminal(command, 120, 40, {"XDG_STATE_HOME": str(tmp_path)}) as terminal:
+        whole = terminal.wait_text("Quit", 30.0)
+        assert "NO SERVER heard yet" in whole[-4]
+        terminal.spoil("\x1b[5;5Hsomebody else wrote this\x1b[9;1H\x1b[2K")
+        terminal.wait_text("somebody else")
+        terminal.press("C-l")
+        terminal.wait(lambda lines: lines == whole, "what was there before")
+        terminal.resize(100, 30)
+        smaller = terminal.wait(lambda lines: len(lines) == 30 and "Why" in lines[-1], "smaller")
+        assert smaller[0].endswith("╮") and len(smaller[0]) == 100
+        terminal.resize(120, 40)
+        terminal.wait(lambda lines: lines == whole, "what was there before")
 
 
 @in_tmux
