@@ -87,7 +87,6 @@ class FleetApp(App[None]):
 
     def on_mount(self) -> None:
         self.set_keymap(dict(self.keymap.changed))
-        palette.has(self.console.color_system)
         self.matrix.focus()
         self.set_interval(self._period_s, self.tick)
 

@@ -116,7 +116,9 @@ def run_replay(
     player.skip_to(start_s)
     keymap = keymap_of(keys)
     with own_screen(log):
-        ReplayApp(session, player, fps, keymap).run()
+        app = ReplayApp(session, player, fps, keymap)
+        palette.has(app.console.color_system)
+        app.run()
 
 
 def moment(seconds: float) -> str:

@@ -66,7 +66,9 @@ def run_screen(
         client.start_in_background()
         gc.freeze()
         gc.set_threshold(50_000, 20, 50)
-        FleetApp(session, fps, lambda: client.failure, PatientDriver, keymap).run()
+        app = FleetApp(session, fps, lambda: client.failure, PatientDriver, keymap)
+        palette.has(app.console.color_system)
+        app.run()
     if recorder is not None:
         print(recorder.report())
 
