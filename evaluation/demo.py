@@ -99,7 +99,8 @@ def without_screen(headless: bool) -> bool:
 def _on_screen(fleet: LocalFleet) -> int:
     """The operator's screen in the foreground; the fleet ends with it."""
     command = [sys.executable, "-P", "-m", "hmi_client", "screen", *fleet.connection]
-    with subprocess.Popen(command) as screen:
+    state = {"XDG_STATE_HOME": str(fleet.directory / "screen")}  # it ends with the fleet
+    with subprocess.Popen(command, env={**os.environ, **state}) as screen:
         try:
             return screen.wait()
         finally:  # asked, not killed: it gives the terminal back as it was

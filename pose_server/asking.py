@@ -21,6 +21,7 @@ Client = tuple[str, str]
 _LOOKED_S = 3.0  # a shorter glance says nothing
 _FRUITLESS = 0.2  # of the predicted gain
 _MOST_CLIENTS = 64
+_NOTHING_M = 1e-3  # a gain below it is none
 _MOST_ANSWERS = 10
 _MOST_LOOKED = 10_000
 
@@ -167,6 +168,10 @@ def _answer(opened: Open, now: Standing) -> Answer:
     names = ", ".join(joined[:4]) + (" and others" if len(joined) > 4 else "")
     did = f"joined {names}; " if joined else ""
     points = "1 point" if opened.clicks == 1 else f"{opened.clicks} points"
+    by = f"{abs(realised):.2g} m {'worse' if realised < 0 else 'better'}"
+    gain = f"the fleet is known {by} on average ({predicted:.2g} m expected)"
+    if not joined and abs(realised) < _NOTHING_M:
+        gain = "nothing has moved yet"
     return Answer(
         i=i,
         j=j,
@@ -174,8 +179,7 @@ def _answer(opened: Open, now: Standing) -> Answer:
         predicted=predicted,
         realised=realised,
         joined=joined,
-        text=f"{points} in {i} and {j}: {did}the fleet is known {abs(realised):.2g} m "
-        f"{'worse' if realised < 0 else 'better'} on average ({predicted:.2g} m expected)",
+        text=f"{points} in {i} and {j}: {did}{gain}",
     )
 
 
