@@ -15,19 +15,26 @@ Image = npt.NDArray[np.uint8]
 _KEPT = 4
 
 
-def decoded(picture: Picture) -> Image:
+def decoded(picture: Picture, halved: bool = False) -> Image:
     """The picture as (H, W, 3) BGR, in the sensor's own orientation.
+
+    Args:
+        picture: a JPEG.
+        halved: give one of half the width and height, in half the time.
 
     Raises:
         PictureError: it is no image that can be shown; nothing large was allocated for it.
     """
     frame = frame_of(picture.jpeg)
-    how = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    size = cv2.IMREAD_REDUCED_COLOR_2 if halved else cv2.IMREAD_COLOR
+    how = size | cv2.IMREAD_IGNORE_ORIENTATION
     try:
         image = cv2.imdecode(np.frombuffer(picture.jpeg, np.uint8), how)
     except cv2.error as error:
         raise PictureError("its pixels are damaged") from error
-    if image is None or image.shape[:2] != (frame.height, frame.width):
+    step = 2 if halved else 1
+    expected = (-(-frame.height // step), -(-frame.width // step))
+    if image is None or image.shape[:2] != expected:
         raise PictureError("its pixels are damaged")
     return np.asarray(image, np.uint8)
 

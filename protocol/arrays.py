@@ -44,8 +44,11 @@ def array_type(dtype: str, *shape: int | None, finite: bool = True) -> Any:
     ]
 
 
+_four_by_four, _six_by_six = _checked("f8", (4, 4), True), _checked("f8", (6, 6), True)
+
+
 def _check_rigid(value: Any) -> npt.NDArray[np.float64]:
-    T = _checked("f8", (4, 4), True)(value)
+    T = _four_by_four(value)
     x, y, z, last = (
         T.tolist()
     )  # so few numbers are quicker without numpy, and poses come in hundreds
@@ -72,7 +75,7 @@ def _dot(a: Sequence[float], b: Sequence[float]) -> float:
 
 
 def _check_square(value: Any) -> npt.NDArray[np.float64]:
-    C = _checked("f8", (6, 6), True)(value)
+    C = _six_by_six(value)
     if np.abs(C).max() > MAX_COVARIANCE:
         raise ValueError(f"a covariance above {MAX_COVARIANCE:g}")
     return C

@@ -34,7 +34,7 @@ MARKER_COLOURS = (
 _BRAILLE_BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 
 
-@lru_cache(maxsize=1 << 13)
+@lru_cache(maxsize=1 << 12)
 def pair_style(foreground: int, background: int) -> Style:
     """The style of two 24-bit colours 0xRRGGBB."""
     return Style.from_color(_color(foreground), _color(background))

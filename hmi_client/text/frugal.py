@@ -148,7 +148,7 @@ def _move(here: tuple[int, int] | None, there: tuple[int, int]) -> str:
     return f"\x1b[{there[0]};{there[1]}H"
 
 
-@lru_cache(maxsize=1 << 13)
+@lru_cache(maxsize=1 << 12)
 def look_of(codes: str) -> Look:
     """What a whole style says."""
     attributes: list[str] = []

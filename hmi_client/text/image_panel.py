@@ -1,6 +1,7 @@
 """The right panel: one image of the selected pair, a cursor in image pixels and a loupe."""
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 from textwrap import wrap
 
@@ -12,6 +13,7 @@ from textual.strip import Strip
 from hmi_client.decoding import decoded
 from hmi_client.errors import OperatorError, PictureError
 from hmi_client.guide import Expected, Guide
+from hmi_client.jpeg import frame_of
 from hmi_client.model import Entry, Picture, PixelUV
 from hmi_client.session import OperatorSession
 from hmi_client.text import bindings
@@ -71,6 +73,7 @@ class ImagePanel(Panel):
         self._picture: Picture | None = None
         self._image: Image | None = None
         self._scale = 1
+        self._halved = False
         self._centre: PixelUV = (0.0, 0.0)
         self._window: Window | None = None
         self._loupe: Window | None = None
@@ -93,6 +96,15 @@ class ImagePanel(Panel):
             return None
         return self._image.shape[1] * self._scale, self._image.shape[0] * self._scale
 
+    def _may_halve(self, picture: Picture | None) -> bool:
+        """Whether nobody looks that closely: a live picture beside the one that has the keys."""
+        if picture is None or self.has_focus or self.session.frozen:
+            return False
+        with suppress(PictureError):  # `decoded` will say what is wrong
+            frame = frame_of(picture.jpeg)
+            return frame.width % 2 == 0 and frame.height % 2 == 0
+        return False
+
     def _load(self) -> None:
         """Decodes the picture if it is another one than before."""
         pair = self.session.pair
@@ -101,17 +113,19 @@ class ImagePanel(Panel):
         if robot != self._robot:
             self._robot, self._image, self._picture = robot, None, None
             self._shown_of.clear()
-        if picture is None or picture.view == self._view:
+        halved = self._may_halve(picture)
+        if picture is None or (picture.view == self._view and (halved or not self._halved)):
             return
         first = self._image is None
         try:
-            self._image = decoded(picture)
+            self._image = decoded(picture, halved)
         except PictureError as error:
             self._image, self._picture = None, None
             self.session.drop(f"image of {robot}", error)
             self.session.on_unreadable(picture.view.robot, str(error), picture.view)
             return
-        self._picture, self._scale = picture, picture.scale
+        self._picture, self._halved = picture, halved
+        self._scale = picture.scale * (2 if halved else 1)
         if first and self.image_size is not None:
             self.zoom = 1.0
             self.cursor = (self.image_size[0] // 2, self.image_size[1] // 2)

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from textual.strip import Strip
 
-from hmi_client.ground import ground_ellipse, heading_rad, position
+from hmi_client.ground import ground_ellipse, heading_rad, position, position_covariance
 from hmi_client.matrix import length_text, natural
 from hmi_client.session import OperatorSession
 from hmi_client.text import bindings
@@ -168,9 +168,10 @@ class MapPanel(Panel):
     def _ellipse(
         self, canvas: Canvas, projection: Projection, pose: RobotPose, place: Floats
     ) -> None:
-        outline = projection.dots(ground_ellipse(pose, points=96) + place - position(pose)[:2])
-        if np.ptp(outline, axis=0).max() > 3:  # smaller than the marker itself
-            canvas.dots(outline, style("ellipse"))
+        widest_m = 4.0 * math.sqrt(max(float(np.trace(position_covariance(pose)[:2, :2])), 0.0))
+        if widest_m > 3 * projection.metres_per_dot:  # else it is smaller than the marker itself
+            outline = ground_ellipse(pose, points=96) + place - position(pose)[:2]
+            canvas.dots(projection.dots(outline), style("ellipse"))
 
     def _robot(
         self, canvas: Canvas, projection: Projection, pose: RobotPose, place: Floats

@@ -65,7 +65,7 @@ def run_screen(
         closing.callback(client.close)
         client.start_in_background()
         gc.freeze()
-        gc.set_threshold(50_000, 20, 50)
+        gc.set_threshold(50_000, 10, 100)
         app = FleetApp(session, fps, lambda: client.failure, PatientDriver, keymap)
         palette.has(app.console.color_system)
         app.run()
