@@ -30,13 +30,22 @@ class Client:
         session: where everything goes.
         keys: the keys of the site.
         open_link: opens the connection; it is retried when it fails in the background.
+        each_pose: hear each pose as it is told; else the state, which tells the newest of all, is
+            enough.
     """
 
-    def __init__(self, session: OperatorSession, keys: Keys, open_link: Callable[[], Link]) -> None:
+    def __init__(
+        self,
+        session: OperatorSession,
+        keys: Keys,
+        open_link: Callable[[], Link],
+        each_pose: bool = True,
+    ) -> None:
         self.session = session
         self.keys = keys
         self.failure: Exception | None = None
         self._open_link = open_link
+        self._each_pose = each_pose
         self._link: Link | None = None
         self._intake = Intake(session, keys)
         self._inbox: Slots[Arrived] = Slots()
@@ -118,7 +127,7 @@ class Client:
         for key in (
             self.keys.state,
             self.keys.status,
-            self.keys.poses,
+            *((self.keys.poses,) if self._each_pose else ()),
             self.keys.correspondences("*", "*"),
             self.keys.receipts(operator),
             self.keys.selection("*"),

@@ -56,6 +56,7 @@ class Connection:
         session: "OperatorSession",
         timeout_s: float = SERVER_TIMEOUT_S,
         recorder: "Recorder | None" = None,
+        each_pose: bool = True,
     ) -> "Client":
         """A client that is not started yet; opening the link gives up after the timeout. With a
         recorder, all that passes is recorded.
@@ -73,7 +74,7 @@ class Connection:
             link = Link(open_session(settings))
             return link if recorder is None else RecordedLink(link, recorder)
 
-        return Client(session, Keys(self.site), open_link)
+        return Client(session, Keys(self.site), open_link, each_pose)
 
     @contextmanager
     def server(self) -> Iterator["OperatorSession"]:

@@ -1,4 +1,4 @@
-"""What the panels share: they hold finished strips and repaint only the spans that changed."""
+"""What the panels share: they hold finished strips and repaint only the rows that changed."""
 
 from collections.abc import Sequence
 
@@ -40,9 +40,9 @@ class PanelMixin(Widget):
             self.refresh()
             return
         changed = [
-            Region(x, y, width, 1)
+            Region(0, y, extent.width, 1)
             for y, (a, b) in enumerate(zip(old, strips, strict=True))
-            for x, width in changed_span(a, b)
+            if a is not b and a != b
         ]
         if changed:
             self.refresh(*changed)
@@ -88,26 +88,6 @@ class PanelMixin(Widget):
 
 class Panel(PanelMixin, can_focus=True):
     """A panel without scroll bars."""
-
-
-def changed_span(old: Strip, new: Strip) -> Sequence[tuple[int, int]]:
-    """The columns (start, width) in which two strips differ, at most one span."""
-    if old is new:
-        return ()
-    a: list[Segment] = list(old)
-    b: list[Segment] = list(new)
-    if a == b:
-        return ()
-    head = 0
-    while head < min(len(a), len(b)) and a[head] == b[head]:
-        head += 1
-    tail = 0
-    while tail < min(len(a), len(b)) - head and a[-1 - tail] == b[-1 - tail]:
-        tail += 1
-    start = sum(segment.cell_length for segment in b[:head])
-    end = sum(segment.cell_length for segment in b[len(b) - tail :])
-    width = max(old.cell_length, new.cell_length) - start - end
-    return ((start, max(width, 1)),)
 
 
 def line(text: str, width: int, paint: Style) -> Strip:

@@ -1,8 +1,11 @@
 """The client between a session and a fake server, over real zenoh."""
 
-from hmi_fakes import view, wait_for
+from hmi_fakes import pose, view, wait_for
 
+from hmi_client.client import Client
 from hmi_client.session import OperatorSession
+from protocol.keys import Keys
+from protocol.transport import Link, SessionSettings, open_session
 
 
 def ready(client_of, serve, **options):
@@ -122,3 +125,14 @@ def test_operators_see_where_the_others_are_and_that_they_leave(client_of, serve
     assert anna.others() == {("r3", "r4"): ("ben",)}  # not oneself
     client.close()
     wait_for(lambda: anna.others() == {})
+
+
+def test_a_screen_takes_poses_from_the_state_and_does_not_hear_each(client_of, serve, router):
+    server, watching, _ = ready(client_of, serve)
+    screen = OperatorSession("ben")
+    settings = SessionSettings(connect=(router,), timeout_s=5.0)
+    with Client(screen, Keys("demo"), lambda: Link(open_session(settings)), each_pose=False):
+        wait_for(lambda: set(screen.poses()) == {"r1", "r2", "r3", "r4", "r5"})
+        server.put(server.keys.pose("r1"), pose("r1", 1.0, 2.0, n=50))  # the state tells the first
+        wait_for(lambda: watching.poses()["r1"].n == 50)
+        assert screen.poses()["r1"].n == 1

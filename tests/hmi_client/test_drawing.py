@@ -13,7 +13,6 @@ from hmi_client.text.cells import Canvas, HalfBlocks, Window, braille_of, sample
 from hmi_client.text.map_panel import Projection, layout, nice_length
 from hmi_client.text.matrix_panel import shorten
 from hmi_client.text.palette import style, tone
-from hmi_client.text.panel import changed_span
 
 
 def colours(strip):
@@ -168,17 +167,6 @@ def test_the_ellipse_has_two_sigma():
     outline = ground_ellipse(pose("r1", 1.0, 2.0, covariance=covariance), points=360)
     assert np.allclose(np.ptp(outline, axis=0) / 2, (0.4, 0.2), atol=1e-3)
     assert np.allclose(outline.mean(0), (1.0, 2.0))
-
-
-def test_only_the_changed_span_of_a_line_is_sent():
-    def line(text):
-        canvas = Canvas(10, 1)
-        for x, character in enumerate(text):
-            canvas.text(x, 0, character, style("#ffffff", bold=x % 2 == 0))
-        return canvas.strips()[0]
-
-    assert changed_span(line("abcdefghij"), line("abcdefghij")) == ()
-    assert changed_span(line("abcdefghij"), line("abcXefYhij")) == ((3, 4),)
 
 
 def test_long_names_keep_their_end():
