@@ -14,7 +14,7 @@ import numpy as np
 from deploy.local_fleet import LocalFleet, wait_running
 from evaluation.faults.desk import Pair, clickable_pairs, operator, replayed_fleet
 from evaluation.fleet import FleetPlan
-from evaluation.observer import Observer
+from evaluation.observer import Observer, SeenView
 from hmi_client.outbox import Ticket
 from hmi_client.session import OperatorSession
 from protocol.errors import FleetPoseError
@@ -78,28 +78,33 @@ def _round(
     progress: Callable[[], None],
 ) -> list[Ticket]:
     """Every operator freezes, waits, clicks and lets go; each holds other views."""
-    held: set[ViewName] = set()
+    held: dict[ViewName, SeenView] = {}
     for session in sessions:
-        new = partial(_shows_two_but, session, held)
+        new = partial(_shows_two_but, session, set(held), observer)
         if not wait_running(fleet, new, FREEZE_WITHIN_S):
             raise FleetPoseError(f"{session.operator} gets no images; logs: {fleet.directory}")
         session.toggle_freeze()
-        held |= _shown(session)
+        frozen = {view: observer.view(view) for view in session.frozen_views()}
+        held |= {view: seen for view, seen in frozen.items() if seen is not None}
     end_s = time.monotonic() + late_s
     while time.monotonic() < end_s:
         wait_until(lambda: time.monotonic() >= end_s, 1.0)
         progress()
     tickets = []
     for session in sessions:
-        tickets += _click(plan, observer, session, clicks)
+        tickets += _click(plan, held, session, clicks)
         session.toggle_freeze()
     if not wait_running(fleet, lambda: all(t.final for t in tickets), SETTLED_WITHIN_S):
         raise FleetPoseError(f"late clicks are not receipted; logs: {fleet.directory}")
     return tickets
 
 
-def _shows_two_but(session: OperatorSession, held: set[ViewName]) -> bool:
-    return len(_shown(session) - held) == 2
+def _shows_two_but(session: OperatorSession, held: set[ViewName], observer: Observer) -> bool:
+    """Whether two views are shown that nobody holds yet, and of which the truth is known: who
+    observes may have been overtaken by newer ones.
+    """
+    shown = _shown(session) - held
+    return len(shown) == 2 and all(observer.view(view) is not None for view in shown)
 
 
 def _shown(session: OperatorSession) -> set[ViewName]:
@@ -109,13 +114,13 @@ def _shown(session: OperatorSession) -> set[ViewName]:
 
 
 def _click(
-    plan: FleetPlan, observer: Observer, session: OperatorSession, clicks: int
+    plan: FleetPlan, held: dict[ViewName, SeenView], session: OperatorSession, clicks: int
 ) -> list[Ticket]:
     """Clicks true correspondences of the two frozen views."""
-    selection = session.selection()
-    i, j = (observer.view(v) if v else None for v in (selection.view_i, selection.view_j))
-    if i is None or j is None:
-        raise FleetPoseError(f"{session.operator} holds views that were never sent: {selection}")
+    seen = [held[view] for view in session.frozen_views() if view in held]
+    if len(seen) != 2:
+        raise FleetPoseError(f"{session.operator} holds other views than were seen")
+    i, j = seen
     uv_i, uv_j = plan.truth.correspondences(i, j)
     names = i.view.name, j.view.name
     chosen = np.random.default_rng(names[0].seq).permutation(len(uv_i))[:clicks]
