@@ -52,6 +52,11 @@ class Sender:
             self._offer_updates()
             self._session.wait_change(seen, ("selection", "updates"), REPEAT_S / 4)
         self._want_images(())
+        if not self._session.unconfirmed:  # else the views of what is on its way stay held
+            self._leave()
+
+    def _leave(self) -> None:
+        """Tells that the operator looks at nothing any more."""
         nothing = {"i": None, "j": None, "view_i": None, "view_j": None}
         left = self._session.selection().model_copy(update=nothing)
         self._selection.put(pack(left), encoding_of(Selection))

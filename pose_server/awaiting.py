@@ -47,10 +47,10 @@ class EarlyUpdates:
 
     Args:
         began_s: when the server began, monotonic seconds.
-        is_here: whether a robot of that name has been heard of.
+        is_here: whether a view is kept, or its robot has been heard of.
     """
 
-    def __init__(self, began_s: float, is_here: Callable[[str], bool]) -> None:
+    def __init__(self, began_s: float, is_here: Callable[[ViewName], bool]) -> None:
         self._old_s = began_s + _YOUNG_S
         self._is_here = is_here
         self._held: dict[tuple[str, str, int], OperatorUpdate] = {}
@@ -71,4 +71,4 @@ class EarlyUpdates:
 
     def _are_here(self, update: OperatorUpdate) -> bool:
         views = (update.view_i, update.view_j)
-        return all(self._is_here(view.robot) for view in views if view is not None)
+        return all(self._is_here(view) for view in views if view is not None)

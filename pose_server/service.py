@@ -71,7 +71,7 @@ class Service:
         self._engine = Engine(pool, self._queue.put)
         self._fetcher = Fetcher(self.keys, link.query, self._queue.put, self._drops)
         self._awaiting = Awaiting(self._fetcher.ask)
-        self._early = EarlyUpdates(time.monotonic(), self._is_here)
+        self._early = EarlyUpdates(time.monotonic(), self._is_known)
         self._load = Load(time.monotonic())
         self._keeper = Keeper(
             settings.state_dir / GRAPH, lambda said: self._queue.put(Noticed(said))
@@ -275,12 +275,15 @@ class Service:
         self._unanswered.clear()
         self._untold.clear()
 
-    def _is_here(self, robot: str) -> bool:
-        return robot in self.site.robots and self.site.robots[robot].epoch is not None
+    def _is_known(self, view: ViewName) -> bool:
+        """Whether a view is kept, or its robot is there to be asked."""
+        robot = self.site.robots.get(view.robot)
+        return view in self.site.views or (robot is not None and robot.epoch is not None)
 
     def _lives(self, view: ViewName) -> bool:
         """Whether the robot that took a view is there and may still have it."""
-        return self._is_here(view.robot) and self.site.robots[view.robot].epoch == view.epoch
+        robot = self.site.robots.get(view.robot)
+        return robot is not None and robot.epoch == view.epoch
 
     def _ask_for_images(self, outcomes: list[Outcome]) -> None:
         """The images of clicked views are journalled, so that the clicks can be shown for ever."""

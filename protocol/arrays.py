@@ -49,9 +49,8 @@ _four_by_four, _six_by_six = _checked("f8", (4, 4), True), _checked("f8", (6, 6)
 
 def _check_rigid(value: Any) -> npt.NDArray[np.float64]:
     T = _four_by_four(value)
-    x, y, z, last = (
-        T.tolist()
-    )  # so few numbers are quicker without numpy, and poses come in hundreds
+    # so few numbers are quicker without numpy, and poses come in hundreds
+    x, y, z, last = T.tolist()
     if max(abs(a - b) for a, b in zip(last, _LAST_ROW, strict=True)) > 1e-5:
         raise ValueError("last row of a pose is not 0 0 0 1")
     if not _are_axes(x[:3], y[:3], z[:3]):

@@ -34,7 +34,7 @@ def clear(n: int) -> OperatorUpdate:
 @given(st.lists(st.sampled_from(["r1", "r2", "r3"]), unique=True))
 def test_an_update_waits_exactly_until_both_robots_are_here(arriving):
     here: set[str] = set()
-    early = EarlyUpdates(100.0, here.__contains__)
+    early = EarlyUpdates(100.0, lambda view: view.robot in here)
     assert early.holds(add(1), 100.1) and early.holds(add(1), 100.2)  # repeated by its client
     for robot in arriving:
         before = {"r1", "r2"} <= here
