@@ -74,6 +74,11 @@ class _Told:
         with self.lock:
             self.sets[known.i, known.j] = known
 
+    def is_aligned(self, pair: tuple[str, str]) -> bool:
+        """Whether the newest alignment of a pair says where it is."""
+        alignment = self.of(pair)
+        return alignment is not None and alignment.T_i_j is not None
+
     def clicks(self, pair: tuple[str, str]) -> int:
         """How many correspondences the server has of a pair."""
         with self.lock:
@@ -151,6 +156,8 @@ def _operated(
         terminal.keep(screens, "joined" if joined else "not-joined")
         keys = terminal.keys
         seconds = time.monotonic() - began_s
+    # the pose may overtake the alignment that it came from
+    wait_running(fleet, lambda: told.is_aligned(pair), ANSWER_S)
     result = _judged(plan, observer, told, pair)
     return {
         "robots": len(plan.names),
