@@ -34,7 +34,9 @@ class PairResult:
     views of one robot `moving` tells what moves, and `shift` where j's depths fit its image best;
     `suggested` (M, 4) pixels of both views, u_i v_i u_j v_j, that an operator might confirm, best
     first; only where it is not verified. `confirmed` by clicks: they determine a pose, and all that
-    agree with each other agree with this one; `grown` from them: they are in it.
+    agree with each other agree with this one; `grown` from them: they are in it. `p_grave` is the
+    probability that the pose is gravely off, 1 where there is none; `rivals` are other (4, 4) poses
+    that the images support as well.
     """
 
     T_i_j: Floats | None
@@ -55,6 +57,8 @@ class PairResult:
     shift: DepthShift | None = None
     confirmed: bool = False
     grown: bool = False
+    p_grave: float = 1.0
+    rivals: tuple[Floats, ...] = ()
 
 
 def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None) -> PairResult:
