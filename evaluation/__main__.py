@@ -34,11 +34,28 @@ def pairs(
     clouds: Clouds = None,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
     limit: Annotated[int | None, typer.Option(min=1, help="So many pairs, spread evenly.")] = None,
+    mirror_share: Annotated[
+        float, typer.Option(min=0, max=1, help="Share of the cameras that flip their images.")
+    ] = 0.0,
 ) -> None:
     """Align every pair of a recording, automatically, and compare with the truth."""
     from evaluation.pairs import run
 
-    run(data, clouds.value if clouds else None, out, workers, limit)
+    run(data, clouds.value if clouds else None, out, workers, limit, mirror_share)
+
+
+@app.command()
+def trust(
+    fitted: Annotated[list[Path], typer.Argument(help="Folders that `pairs` wrote, to fit on.")],
+    out: Out,
+    held_out: Annotated[
+        list[Path] | None, typer.Option(help="Folders that `pairs` wrote, to judge on.")
+    ] = None,
+) -> None:
+    """Fit the probability of a grave error to some places, and judge it on others."""
+    from evaluation.trust import run
+
+    run(fitted, held_out or [], out)
 
 
 @app.command()

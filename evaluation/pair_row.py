@@ -1,7 +1,7 @@
 """One pair of `pose-eval pairs`: what was answered, and how right it is."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from evaluation.geometry import Floats
@@ -14,7 +14,9 @@ VERDICTS = ("verified", "plausible", "ambiguous", "rejected")
 
 @dataclass
 class PairRow:
-    """One pair: what was answered and how right it is. `T_i_j` is camera j in camera i."""
+    """One pair: what was answered and how right it is. `T_i_j` is camera j in camera i.
+    `mirrored`: one of both cameras flips its images; `named_mirrored`: that was said.
+    """
 
     i: int
     j: int
@@ -34,6 +36,10 @@ class PairRow:
     shared: int | None = None
     overlap: float | None = None
     wide: bool = False
+    p_grave: float = 1.0
+    mirrored: bool = False
+    named_mirrored: bool = False
+    evidence: dict[str, float] = field(default_factory=dict)
 
     @property
     def enough_shared(self) -> bool:

@@ -2,10 +2,10 @@
 
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +37,9 @@ class Answer:
     wide: bool = False
     confirmed: bool = False
     grown: bool = False
+    p_grave: float = 1.0
+    mirrored: bool = False
+    evidence: dict[str, float] = field(default_factory=dict)
 
 
 def use_one_thread() -> None:
@@ -158,7 +161,20 @@ def answer_of(result: "PairResult", align_ms: float, wide: bool = False) -> Answ
         inliers=int(result.inliers),
         align_ms=align_ms,
         wide=wide,
+        p_grave=result.p_grave,
+        mirrored=result.mirrored,
+        evidence=_flat(result.evidence),
     )
+
+
+def _flat(evidence: Any) -> dict[str, float]:
+    """All numbers of an evidence, those of its parts too."""
+    if evidence is None:
+        return {}
+    numbers: dict[str, float] = {}
+    for name, value in asdict(evidence).items():
+        numbers |= value if isinstance(value, dict) else {name: value}
+    return numbers
 
 
 def _floats(array: npt.ArrayLike | None) -> Floats | None:

@@ -5,7 +5,9 @@ wire, the server's preparation, the alignment.
 """
 
 import itertools
+import random
 import tempfile
+from collections.abc import Collection
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -38,7 +40,12 @@ TILE = 16  # pairs are done in squares of so many views, so that the caches serv
 
 
 def run(
-    data: Path, clouds: CloudKind | None, out: Path, workers: int = 2, limit: int | None = None
+    data: Path,
+    clouds: CloudKind | None,
+    out: Path,
+    workers: int = 2,
+    limit: int | None = None,
+    mirror_share: float = 0.0,
 ) -> dict[str, Any]:
     """Aligns all pairs; writes tables, plots and a report; returns the summary.
 
@@ -48,6 +55,7 @@ def run(
         out: folder for the results.
         workers: processes.
         limit: take that many pairs only, chosen evenly.
+        mirror_share: share of the views whose cameras flip their images.
 
     Raises:
         FleetPoseError: the data cannot be used, or the folder cannot be made.
@@ -62,19 +70,29 @@ def run(
         progress_bar() as progress,
     ):
         views = {view.index: view for pair in pairs for view in pair}
-        wires, robot_ms = on_the_wire(recording, list(views.values()), Path(folder), pool, progress)
+        flipped = mirrored_views(views, mirror_share)
+        wires, robot_ms = on_the_wire(
+            recording, list(views.values()), Path(folder), pool, progress, mirrored=flipped
+        )
         server_ms = list(pool.map(prepare_ms, wires.values()))
         limits = Limits.of(median_m, recording.is_rgbd)
         task = progress.add_task("pairs", total=len(pairs))
         rows = []
         jobs = ((pair, (align, wires[pair[0].index], wires[pair[1].index])) for pair in pairs)
         for (i, j), answer in as_done(pool, jobs, in_flight=2 * workers + 2):
-            rows.append(scored(i, j, answer, limits))
+            row = scored(i, j, answer, limits)
+            row.mirrored = (i.index in flipped) != (j.index in flipped)
+            rows.append(row)
             progress.advance(task)
         _add_shared_or_overlap(recording, rows, pool, progress)
     rows.sort(key=lambda row: (row.i, row.j))
     view_ms = [robot + server for robot, server in zip(robot_ms, server_ms, strict=True)]
     return write_results(out, recording, rows, median_m, view_ms)
+
+
+def mirrored_views(views: Collection[int], share: float) -> frozenset[int]:
+    """Which views' cameras flip their images: this share of them, by chance, always the same."""
+    return frozenset(random.Random(0).sample(sorted(views), round(share * len(views))))
 
 
 def pairs_of(recording: Recording) -> list[tuple[TrueView, TrueView]]:
@@ -123,6 +141,9 @@ def scored(i: TrueView, j: TrueView, answer: Answer, limits: Limits) -> PairRow:
         inliers=answer.inliers,
         reasons="; ".join(answer.reasons),
         wide=answer.wide,
+        p_grave=answer.p_grave,
+        named_mirrored=answer.mirrored,
+        evidence=answer.evidence,
     )
 
 

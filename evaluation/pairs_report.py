@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from evaluation.calibration import expected_calibration_error
 from evaluation.datasets import Recording
 from evaluation.intervals import share_over_views
 from evaluation.pair_row import PairRow, verified_nees
@@ -26,9 +27,15 @@ from evaluation.scoring import CHI2_6_95, Limits, percentile, share, trimmed_nee
 ANGLE_BINS_DEG = ((0, 20), (20, 40), (40, 60), (60, 90), (90, 180))
 SUCCESS_BINS = ((0.1, 0.2), (0.2, 0.3), (0.3, 0.4), (0.4, 0.5), (0.5, 1.0))
 OVERLAP_BINS = ((0.0, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.5), (0.5, 1.0))
-POSE_FILE_COLUMNS = ("i", "j", "verdict", "align_ms", *POSE_COLUMNS, *COVARIANCE_COLUMNS)
+POSE_FILE_COLUMNS = (
+    *("i", "j", "verdict", "align_ms"),
+    *POSE_COLUMNS,
+    *COVARIANCE_COLUMNS,
+    "p_grave",
+)
 TRUTH_COLUMNS = ("shared", "overlap", "angle_deg", "position_error_m", "rotation_error_deg")
-REMARK_COLUMNS = ("start", "wide", "inliers", "reasons")
+EVIDENCE_FILE_COLUMNS = ("i", "j", "verdict", "ok", "grave", "start", *TRUTH_COLUMNS)
+REMARK_COLUMNS = ("start", "wide", "inliers", "mirrored", "reasons")
 
 
 def write_results(
@@ -53,6 +60,12 @@ def write_tables(out: Path, rows: Sequence[PairRow]) -> None:
     cells = [row.cells() for row in rows]
     write_csv(out / "poses.csv", POSE_FILE_COLUMNS, cells)
     write_csv(out / "pairs.csv", (*POSE_FILE_COLUMNS, *TRUTH_COLUMNS, *REMARK_COLUMNS), cells)
+    names = sorted({name for row in rows for name in row.evidence})
+    write_csv(
+        out / "evidence.csv",
+        (*EVIDENCE_FILE_COLUMNS, *names),
+        [{**row.cells(), **row.evidence} for row in rows if row.evidence],
+    )
 
 
 def summarize(
@@ -75,6 +88,11 @@ def summarize(
         "verified_ok_below_60": share(row.verdict == "verified" for row in below_60 if row.ok),
         "verified": len(verified),
         "grave_verified": sum(row.grave for row in verified),
+        **_of_mirrored(rows),
+        "expected_calibration_error": expected_calibration_error(
+            [row.p_grave for row in rows if row.T_i_j is not None],
+            [row.grave for row in rows if row.T_i_j is not None],
+        ),
         "nees_per_dof": trimmed_nees_per_dof(nees),
         "coverage_95": share(value <= CHI2_6_95 for value in nees),
         "shares": _shares(rows),
@@ -92,6 +110,17 @@ def summarize(
         ]
         if any(row.overlap is not None for row in rows)
         else None,
+    }
+
+
+def _of_mirrored(rows: Sequence[PairRow]) -> dict[str, int]:
+    """Pairs of a camera that flips its images and one that does not; and of all, who was named."""
+    mirrored = [row for row in rows if row.mirrored]
+    return {
+        "mirrored": len(mirrored),
+        "mirrored_verified": sum(row.verdict == "verified" for row in mirrored),
+        "mirrored_named": sum(row.named_mirrored for row in mirrored),
+        "wrongly_named_mirrored": sum(row.named_mirrored for row in rows if not row.mirrored),
     }
 
 

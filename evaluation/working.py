@@ -3,12 +3,13 @@
 import itertools
 import multiprocessing
 import random
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
 from evaluation.datasets import Recording, TrueView
+from evaluation.mirror import mirror_folder
 from evaluation.pair_worker import encode, use_one_thread
 from evaluation.strip import random_name, strip
 
@@ -25,11 +26,12 @@ def on_the_wire(
     pool: ProcessPoolExecutor,
     progress: Any,
     seed: int | None = None,
+    mirrored: Container[int] = (),
 ) -> tuple[dict[int, Path], list[float]]:
     """What every view's robot sends, in one file each, and the milliseconds it took the robot.
 
     Each robot works on a stripped folder of its own: nothing of the truth is in these files. The
-    robots' names are drawn by the seed.
+    robots' names are drawn by the seed. The cameras of `mirrored` views flip their images.
     """
     rng = random.Random(seed)
     task = progress.add_task("views", total=len(views))
@@ -38,6 +40,8 @@ def on_the_wire(
     for view in views:
         robot = random_name(rng)
         stripped = strip(recording, [view], folder / robot, rng)
+        if view.index in mirrored:
+            mirror_folder(stripped.path)
         wires[view.index] = folder / f"{robot}.msgpack"
         job = pool.submit(encode, robot, stripped.camera, stripped.path, wires[view.index])
         job.add_done_callback(lambda _: progress.advance(task))

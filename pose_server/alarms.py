@@ -41,6 +41,15 @@ def note_depths(site: Site, done: Done) -> None:
     site.depths.note(i.robot, j.robot, Said(done.result.depths, pace(site, i), pace(site, j)))
 
 
+def note_mirror(site: Site, done: Done) -> None:
+    """Keeps whether two robots' views fit as they are, or only if one of both is mirrored."""
+    i, j = done.job.i.name.robot, done.job.j.name.robot
+    result = done.result
+    if result is None or i == j or not (result.mirrored or result.verdict == "verified"):
+        return
+    site.depths.changed |= site.depths.mirrors.note(i, j, result.mirrored)
+
+
 def note_moment(site: Site, done: Done) -> None:
     """Keeps what an alignment of a robot's own views says of when its depths are measured."""
     if done.result is not None and done.result.shift is not None:
@@ -84,6 +93,7 @@ def judge_calibrations(site: Site) -> None:
     alarms += _of_scales(site, bent)
     alarms += _of_skews(site, bent)
     alarms += _of_clocks(site)
+    alarms += _of_mirrors(site)
     site.alarms = tuple(alarms)
     for alarm in alarms:
         if (alarm.robot, alarm.kind) not in site.alarms_told:
@@ -182,6 +192,22 @@ def _of_clocks(site: Site) -> list[Alarm]:
             )
         text = f"{what}; the stamps of its poses are in its own clock: set it by NTP or chrony"
         alarms.append(Alarm(robot=robot, kind="clock", text=text))
+    return alarms
+
+
+def _of_mirrors(site: Site) -> list[Alarm]:
+    """Robots whose cameras flip their images."""
+    alarms = []
+    for flipped in site.depths.mirrors.flipped():
+        names = ", ".join(sorted(flipped.robots))
+        for robot, partners in sorted(flipped.robots.items()):
+            what = (
+                f"{robot}'s images are mirrored, by {partners} partner{'s' if partners > 1 else ''}"
+                if flipped.sure
+                else f"of {names} some robots' images are mirrored, and nothing tells whose"
+            )
+            text = f"{what}: its camera's driver flips them, turn that off"
+            alarms.append(Alarm(robot=robot, kind="mirrored", text=text))
     return alarms
 
 

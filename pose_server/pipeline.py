@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pose_server.alarms import note_depths
+from pose_server.alarms import note_depths, note_mirror
 from pose_server.asking import note_clicks, note_selection, note_solved
 from pose_server.clicks import click_factors, clicks_between, judge
 from pose_server.correspondences.book import Outcome
@@ -327,6 +327,7 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
         site.say(f"alignment of {i} and {j} failed: {done.error}")
         return
     note_depths(site, done)
+    note_mirror(site, done)
     record.tried.setdefault((i, j), set()).add(done.job.purpose)
     if done.job.purpose == "clicks" and not done.job.features:
         may_ask = ordered_pair(i.robot, j.robot) not in site.skip

@@ -224,6 +224,8 @@ def alignment(i: ViewName, j: ViewName, result: PairResult, stamp: Stamp, n: int
         inliers=result.inliers,
         start=result.start,
         timings_ms=result.timings_ms,
+        p_grave=result.p_grave,
+        rivals=result.rivals,
         server_epoch=stamp.epoch,
         n=n,
     )

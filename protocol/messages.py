@@ -16,7 +16,18 @@ from protocol.base import MAX_MESSAGE_BYTES, Message
 from protocol.camera import ROBOT_FROM_CAMERA as ROBOT_FROM_CAMERA
 from protocol.camera import Camera
 from protocol.camera import NoiseModel as NoiseModel
-from protocol.fields import Count, Epoch, Many, Moment, Name, NonNegative, Positive, Stamp, Text
+from protocol.fields import (
+    Count,
+    Epoch,
+    Many,
+    Moment,
+    Name,
+    NonNegative,
+    Positive,
+    Probability,
+    Stamp,
+    Text,
+)
 from protocol.questions import Answer as Answer
 from protocol.questions import Question as Question
 from protocol.questions import Suggestion as Suggestion
@@ -159,7 +170,7 @@ class RobotPose(Message, frozen=True, schema="fleet.pose.v1"):
     n: Count = Field(description="counts up per robot and server epoch")
 
 
-class Alignment(Message, frozen=True, schema="fleet.alignment.v1"):
+class Alignment(Message, frozen=True, schema="fleet.alignment.v2", before="fleet.alignment.v1"):
     """`pair/<i>/<j>/alignment`: the newest alignment of a pair, i < j."""
 
     view_i: ViewName
@@ -178,6 +189,10 @@ class Alignment(Message, frozen=True, schema="fleet.alignment.v1"):
     inliers: Count
     start: Name = Field(description="the start it grew from: operator, previous, graph, features")
     timings_ms: dict[Text, NonNegative]
+    p_grave: Probability = Field(1.0, description="that T_i_j is gravely off, by all evidence")
+    rivals: Annotated[tuple[Pose, ...], Field(max_length=16)] = Field(
+        (), description="other T_i_j that the images support as well"
+    )
     server_epoch: Epoch
     n: Count
 
@@ -294,7 +309,7 @@ class Alarm(Message, frozen=True, schema="fleet.alarm.v1"):
     """What an operator has to look after at a robot, in words that say what to do."""
 
     robot: Name
-    kind: Name = Field(description="what is off: scale, unequal, bent, skew, clock")
+    kind: Name = Field(description="what is off: scale, unequal, bent, skew, clock, mirrored")
     text: Text
 
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from pose_server.calibration.clocks import Clocks
 from pose_server.calibration.compare import DepthErrors
 from pose_server.calibration.findings import RobotPair
+from pose_server.calibration.mirrors import Mirrors
 from pose_server.calibration.moments import Moments
 
 Floats = npt.NDArray[np.floating]
@@ -35,6 +36,7 @@ class Memory:
 
     Attributes:
         moments: what robots' own views say of when their depths are measured.
+        mirrors: which robots fit only if one of both is mirrored.
         clocks: what arrivals say of the robots' clocks.
         changed: whether anything was said or forgotten since it was set to false.
         compared: the same of comparisons of two robots.
@@ -43,6 +45,7 @@ class Memory:
     changed: bool = False
     compared: bool = False
     moments: Moments = field(default_factory=Moments)
+    mirrors: Mirrors = field(default_factory=Mirrors)
     clocks: Clocks = field(default_factory=Clocks)
     _pairs: dict[RobotPair, deque[Said]] = field(default_factory=dict)
 
@@ -64,6 +67,7 @@ class Memory:
         """Drops what was said of a robot: it has another calibration now."""
         self.changed = self.compared = True
         self.moments.forget(robot)
+        self.mirrors.forget(robot)
         self._pairs = {pair: said for pair, said in self._pairs.items() if robot not in pair}
 
     @property

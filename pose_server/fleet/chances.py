@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.geometry.se3 import inverse, rotation_angle
-from pose_server.pairs.verdict import Evidence, needed_matches
+from pose_server.pairs.evidence import Evidence
+from pose_server.pairs.verdict import needed_matches
 
 Floats = npt.NDArray[np.floating]
 

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from pose_server.geometry.patches import Patches, patches_of
 from pose_server.geometry.se3 import inverse, transform
 
 Floats = npt.NDArray[np.floating]
@@ -38,6 +39,11 @@ class Surface:
     def tree(self) -> cKDTree:
         """Of the pixels."""
         return cKDTree(self.uv)
+
+    @cached_property
+    def patches(self) -> Patches:
+        """Planes through the points."""
+        return patches_of(self.uv, self.z, self.K, self.depth_sigma)
 
     @cached_property
     def spacing_px(self) -> float:
@@ -79,6 +85,26 @@ class Agreement:
     overlap: float
 
 
+def hides(surface: Surface, uv: Floats, z: Floats, sigma: float) -> npt.NDArray[np.bool_]:
+    """Which points at pixels (N, 2) with depths (N,) are hidden: all that the surface has around
+    there is clearly nearer. `sigma` is the relative one of the difference of both depths.
+    """
+    if len(uv) == 0:
+        return np.zeros(0, bool)
+    distance, near = surface.tree.query(
+        uv, k=min(4, surface.tree.n), distance_upper_bound=_radius_px(surface)
+    )
+    found = np.isfinite(distance.reshape(len(uv), -1))
+    depths = np.where(found, surface.z[np.where(found, near.reshape(len(uv), -1), 0)], -np.inf)
+    farthest = depths.max(axis=1)
+    return np.isfinite(farthest) & (farthest < z * (1 - max(0.03, 4.0 * sigma)))
+
+
+def _radius_px(surface: Surface) -> float:
+    """How near a pixel must be to tell of a surface there."""
+    return float(np.clip(3 * surface.spacing_px, 4.0, 8.0))
+
+
 def agreement(i: Surface, j: Surface, T_i_j: Floats) -> Agreement:
     """Compares two views' surfaces at a pose."""
     a, b = seen_again(j, i, T_i_j), seen_again(i, j, inverse(T_i_j))
@@ -105,8 +131,9 @@ def seen_again(source: Surface, target: Surface, T_target_source: Floats) -> See
     visible = len(uv) / max(len(source.sample), 1)
     if len(uv) == 0:
         return SeenAgain(visible, 0, 0.0, 0.0)
-    radius = float(np.clip(3 * target.spacing_px, 4.0, 8.0))
-    distance, near = target.tree.query(uv, k=min(4, target.tree.n), distance_upper_bound=radius)
+    distance, near = target.tree.query(
+        uv, k=min(4, target.tree.n), distance_upper_bound=_radius_px(target)
+    )
     found = np.isfinite(distance.reshape(len(uv), -1))
     near = np.where(found, near.reshape(len(uv), -1), 0)
     compared = found[:, 0]

@@ -129,6 +129,8 @@ def align_from(
 
 def is_settled(result: PairResult) -> bool:
     """Whether the wide sets of salient points could not add to a result."""
+    if result.mirrored:
+        return True
     e = result.evidence
     return (
         e is not None

@@ -12,6 +12,7 @@ from pose_server.calibration.compare import DepthErrors, compare_depths
 from pose_server.calibration.shift import DepthShift, depth_shift
 from pose_server.geometry.se3 import inverse, transform
 from pose_server.pairs.judging import PairResult
+from pose_server.pairs.mirrored import REASON, is_mirrored
 from pose_server.pairs.moving import moving_masks
 from pose_server.pairs.pair import Pair
 from pose_server.pairs.suggesting import suggested
@@ -26,7 +27,23 @@ def with_byproducts(pair: Pair, result: PairResult) -> PairResult:
     if pair.i.name.robot == pair.j.name.robot:
         moving = moving_masks(pair, result)
         return replace(result, moving=moving, shift=shift_of(pair, result))
+    result = with_mirror(pair, result)
     return with_suggestions(pair, replace(result, depths=depths_of(pair, result)))
+
+
+def with_mirror(pair: Pair, result: PairResult) -> PairResult:
+    """The result, refused where the views fit far better if one of them is mirrored."""
+    evidence = result.evidence
+    agreeing = 0 if evidence is None else evidence.ratio_inliers
+    if result.verdict == "verified" or not is_mirrored(pair, agreeing):
+        return result
+    return replace(
+        result,
+        verdict="rejected",
+        reasons=(REASON, *result.reasons),
+        p_grave=1.0,
+        mirrored=True,
+    )
 
 
 def with_suggestions(pair: Pair, result: PairResult) -> PairResult:

@@ -1,6 +1,6 @@
 """What a found pose is worth: all evidence at the pose, its covariance, its errors, the verdict."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,8 +13,13 @@ from pose_server.geometry.evidence import Agreement
 from pose_server.geometry.motion import Mask
 from pose_server.geometry.refine import NoiseScale, Refinement
 from pose_server.geometry.se3 import inverse, position_covariance, rotation_angle, transform
+from pose_server.pairs.evidence import NO_RIVAL, Evidence
+from pose_server.pairs.explained import explained
 from pose_server.pairs.pair import Pair
-from pose_server.pairs.verdict import Evidence, Verdict, judge
+from pose_server.pairs.rivals import EXACT_SIGMAS, Rival, rivals_of
+from pose_server.pairs.trust import p_grave, with_rivals
+from pose_server.pairs.trust_model import MODEL
+from pose_server.pairs.verdict import Verdict, against, judge, stands
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -36,7 +41,7 @@ class PairResult:
     first; only where it is not verified. `confirmed` by clicks: they determine a pose, and all that
     agree with each other agree with this one; `grown` from them: they are in it. `p_grave` is the
     probability that the pose is gravely off, 1 where there is none; `rivals` are other (4, 4) poses
-    that the images support as well.
+    that the images support as well. `mirrored`: the views fit only if one of them is mirrored.
     """
 
     T_i_j: Floats | None
@@ -59,6 +64,7 @@ class PairResult:
     grown: bool = False
     p_grave: float = 1.0
     rivals: tuple[Floats, ...] = ()
+    mirrored: bool = False
 
 
 def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None) -> PairResult:
@@ -90,7 +96,10 @@ def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None
         reason = "the matches do not determine a pose"
         return PairResult(T, None, "rejected", (reason,), overlap=seen.overlap, start=start)
     evidence = _evidence(pair, T, matches, final, again, covariance, places, seen)
-    verdict, reasons = judge(evidence)
+    chance = p_grave(evidence, MODEL)
+    rivals = _aliases(pair, rest) if not against(evidence, chance) else []
+    evidence = replace(evidence, lead=min([NO_RIVAL, *(rival.lead for rival in rivals)]))
+    verdict, reasons = judge(evidence, chance)
     error_m2, count = regression_error(pair, T)
     return PairResult(
         T_i_j=T,
@@ -104,7 +113,16 @@ def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None
         regression_count=count,
         start=start,
         evidence=evidence,
+        p_grave=with_rivals(chance, evidence.lead),
+        rivals=tuple(rival.T_i_j for rival in rivals if stands(rival.lead)),
     )
+
+
+def _aliases(pair: Pair, T: Floats) -> list[Rival]:
+    """Rivals that the views' own aliases offer to a pose. A robot follows itself in small steps: no
+    alias is as near.
+    """
+    return [] if pair.i.name.robot == pair.j.name.robot else rivals_of(pair, T)
 
 
 def _evidence(
@@ -119,19 +137,24 @@ def _evidence(
 ) -> Evidence:
     rest = final.T_i_j
     ratio = pair.scored(rest, pair.ratio, again.noise) if len(pair.ratio) >= 3 else None
-    consistent = _places(pair, pair.ratio[ratio.inliers]) if ratio else 0
+    unguided = ratio.inliers if ratio else np.zeros(len(pair.ratio), bool)
+    consistent = _places(pair, pair.ratio[unguided])
     inliers = final.inliers
+    pixel_sigma_px = float(np.hypot(pair.i.observed.pixel_sigma_px, pair.j.observed.pixel_sigma_px))
+    exact = inliers & (np.abs(final.across_px) < EXACT_SIGMAS * pixel_sigma_px)
+    rival, rivalled = _rival(pair, rest, ratio, again.noise)
+    found_again = explained(pair, rest, matches[exact], unguided)
     return Evidence(
         inliers=places,
+        exact=_places(pair, matches[exact]),
         ratio_inliers=consistent,
         ratio_matches=len(pair.ratio),
-        rival=_rival(pair, rest, ratio, again.noise),
+        rival=rival,
+        rivalled=rivalled,
         position_sigma=_weakest(position_covariance(T, covariance)) / pair.depth_m,
         rotation_sigma_rad=_weakest(covariance[:3, :3]),
         across_px=_robust_sigma(final.across_px[inliers]),
-        pixel_sigma_px=float(
-            np.hypot(pair.i.observed.pixel_sigma_px, pair.j.observed.pixel_sigma_px)
-        ),
+        pixel_sigma_px=pixel_sigma_px,
         shift=_apart(pair, rest, again.T_i_j),
         turn_rad=rotation_angle(again.T_i_j[:3, :3].T @ rest[:3, :3]),
         pulled=_apart(pair, rest, T),
@@ -140,6 +163,11 @@ def _evidence(
         through=seen.through,
         spread=_spread(pair, matches[inliers]),
         depth_noise=again.noise.depth,
+        depth_sigma=pair.sigma,
+        mean_agree=seen.mean_agree,
+        overlap=seen.overlap,
+        lead=NO_RIVAL,
+        explained=found_again,
     )
 
 
@@ -178,27 +206,31 @@ def _spread(pair: Pair, matches: Indices) -> float:
     return min(shares)
 
 
-def _rival(pair: Pair, T: Floats, ratio: Refinement | None, noise: NoiseScale) -> int:
-    """Support of the best other pose, searched among the matches that the winner leaves over and
-    counted by the same measure as the winner's.
+def _rival(pair: Pair, T: Floats, ratio: Refinement | None, noise: NoiseScale) -> tuple[int, int]:
+    """Support of the best other pose, searched among the matches that the winner leaves over, and
+    the winner's: each without the matches that agree with both.
     """
     if ratio is None:
-        return 0
-    rest = pair.ratio[~ratio.inliers]
+        return 0, 0
+    own = ratio.inliers
+    rest = pair.ratio[~own]
+    nobody = 0, _places(pair, pair.ratio[own])
     if len(rest) < 6:
-        return 0
+        return nobody
     p_i, p_j = pair.points(rest)
     found = robust.solve(p_i / pair.depth_m, p_j / pair.depth_m, 0.01)
     if found is None:
-        return 0
+        return nobody
     other = found[0].copy()
     other[:3, 3] *= pair.depth_m
     try:
         other = pair.refined(other, rest[found[1]], noise, 4).T_i_j
-        supported = pair.scored(other, pair.ratio, noise).inliers
+        theirs = pair.scored(other, pair.ratio, noise).inliers
     except DegenerateGeometryError:
-        return 0
-    return 0 if pair.same_pose(T, other) else _places(pair, pair.ratio[supported])
+        return nobody
+    if not pair.gravely_apart(T, other):
+        return nobody
+    return _places(pair, pair.ratio[theirs & ~own]), _places(pair, pair.ratio[own & ~theirs])
 
 
 def _calibrated(information: Floats, depth_m: float) -> Floats | None:

@@ -15,6 +15,7 @@ Indices = npt.NDArray[np.int64]
 RATIO = 0.9
 WIDE_RATIO = 0.95  # of wide sets: with tilted copies the second best is often the same place
 _SAME_POSE = 0.02  # share of the depth, and radians
+_GRAVE_POSITION, _GRAVE_ROTATION_RAD = 0.05, 0.087  # share of the depth; 5 deg
 _COMMON_NOISE = NoiseScale(1.0, 1.2)  # candidates are compared at the same noise
 _SCORED_RADIUS = 0.006  # share of the depth
 
@@ -26,10 +27,11 @@ class Pair:
         depth_m: median depth of both.
         sigma: relative sigma of the distance of two matching points along the ray.
         ratio: (M, 2) matches by descriptor alone, of points with depth, the most similar first.
+        ratio_limit: largest distance ratio of their nearest and second nearest.
     """
 
     def __init__(self, i: PreparedView, j: PreparedView, ratio: float) -> None:
-        self.i, self.j = i, j
+        self.i, self.j, self.ratio_limit = i, j, ratio
         self.depth_m = 0.5 * (i.median_depth_m + j.median_depth_m)
         self.sigma = float(np.hypot(i.surface.depth_sigma, j.surface.depth_sigma))
         lifted_i, lifted_j = i.observed.lifted, j.observed.lifted
@@ -82,8 +84,17 @@ class Pair:
 
     def same_pose(self, a: Floats, b: Floats) -> bool:
         """Whether two poses are one: a start from either leads to the same place."""
+        return max(self._apart(a, b)) < _SAME_POSE
+
+    def gravely_apart(self, a: Floats, b: Floats) -> bool:
+        """Whether one of two poses must be gravely off: nearer ones are no rivals."""
+        shift, turn_rad = self._apart(a, b)
+        return shift > _GRAVE_POSITION or turn_rad > _GRAVE_ROTATION_RAD
+
+    def _apart(self, a: Floats, b: Floats) -> tuple[float, float]:
+        """Distance of two poses' positions as a share of the depth, and the angle between them."""
         shift = float(np.linalg.norm(a[:3, 3] - b[:3, 3])) / self.depth_m
-        return max(shift, rotation_angle(a[:3, :3].T @ b[:3, :3])) < _SAME_POSE
+        return shift, rotation_angle(a[:3, :3].T @ b[:3, :3])
 
     def support(self, T: Floats, matches: Indices) -> float:
         """How many matches agree with a pose, at a noise level that is the same for all poses."""

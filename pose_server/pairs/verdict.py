@@ -1,69 +1,43 @@
-"""Is a found pose right? Every test is a small function with its reason; a false `verified` is the
-worst failure.
+"""Is a found pose right? Four words, which are limits on the probability of a grave error and on
+what determines the pose; each test has its reason. A false `verified` is the worst failure.
 """
 
-from dataclasses import dataclass
 from typing import Literal
+
+from pose_server.pairs.evidence import Evidence
 
 Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
 
+# How likely a pose may be gravely off that is called verified, and from where on it is refused. Of
+# the poses called verified far fewer are: most are far below the limit.
+VERIFIED_P_GRAVE, REJECTED_P_GRAVE = 0.03, 0.9
 # What is verified is not gravely wrong: three sigma of its weakest direction, what a refit on all
 # matches moves it, and what surfaces have moved it, lie within 5 % of the median depth together;
 # three sigma of its rotation lie within 5 deg
 _VERIFIED_POSITION = 0.05
 _VERIFIED_ROTATION_RAD = 0.087
+_LEAST_FRONT, _TOLD_SIDES = 0.4, 20  # of the surfaces, from their front; of so many that tell
+_LEAD_SIGMAS = 4.0  # as rare as one of the many poses that a repeating place has may be
+_ALIAS = "the place repeats itself: another pose finds as much again"
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """What speaks for and against a pose. Shares are of the median depth.
-
-    Attributes:
-        inliers: guided and ratio matches at distinct places that agree with the pose.
-        ratio_inliers: of these, the ones found by descriptor alone.
-        ratio_matches: matches found by descriptor alone.
-        rival: ratio matches that agree with the best other pose.
-        position_sigma: calibrated sigma of the weakest direction of the position, share.
-        rotation_sigma_rad: calibrated sigma of the weakest rotation.
-        across_px: sigma of the residuals across the epipolar lines.
-        pixel_sigma_px: what it should be by the cameras' noise.
-        shift: how far a refit on the matches moves the position that they led to, share.
-        turn_rad: how far it turns.
-        pulled: how far surfaces have moved that position, share.
-        compared: points compared with the other surface.
-        agree: share of these that agree in depth.
-        through: share of these that the other view sees through.
-        spread: smaller extent of the matches in the images, share of the image height.
-        depth_noise: depth noise found over depth noise stated.
-    """
-
-    inliers: int
-    ratio_inliers: int
-    ratio_matches: int
-    rival: int
-    position_sigma: float
-    rotation_sigma_rad: float
-    across_px: float
-    pixel_sigma_px: float
-    shift: float
-    turn_rad: float
-    pulled: float
-    compared: int
-    agree: float
-    through: float
-    spread: float
-    depth_noise: float
-
-
-def judge(e: Evidence) -> tuple[Verdict, tuple[str, ...]]:
-    """The verdict on a pose, and the reasons for it."""
-    if reasons := _against(e):
+def judge(e: Evidence, p_grave: float) -> tuple[Verdict, tuple[str, ...]]:
+    """The verdict on a pose that is gravely off with this probability, and the reasons for it."""
+    if reasons := against(e, p_grave):
         return "rejected", reasons
-    if e.rival > 0.6 * e.ratio_inliers and e.rival >= 5:
-        return "ambiguous", (f"another pose has {e.rival} matches, this one {e.ratio_inliers}",)
-    if reasons := _doubts(e):
+    if e.rival > 0.6 * e.rivalled and e.rival >= 5:
+        reason = f"another pose has {e.rival} matches of its own, this one {e.rivalled}"
+        return "ambiguous", (reason,)
+    if stands(e.lead):
+        return "ambiguous", (_ALIAS,)
+    if reasons := _doubts(e, p_grave):
         return "plausible", reasons
     return "verified", (f"{e.inliers} matches agree to {e.across_px:.2f} px",)
+
+
+def stands(lead: float) -> bool:
+    """Whether a rival pose may as well be the right one: the winner leads by so few sigmas."""
+    return lead < _LEAD_SIGMAS
 
 
 def needed_matches(ratio_matches: int) -> int:
@@ -73,24 +47,30 @@ def needed_matches(ratio_matches: int) -> int:
     return 10 + ratio_matches // 100
 
 
-def _against(e: Evidence) -> tuple[str, ...]:
+def against(e: Evidence, p_grave: float) -> tuple[str, ...]:
     """Signs that the pose is wrong, or that nothing supports it."""
     return _said(
         (e.inliers < 8, f"only {e.inliers} matches agree, need 8"),
         (e.through > 0.25, f"{e.through:.0%} of the moved cloud is seen through"),
         (e.compared >= 20 and e.agree < 0.25, f"only {e.agree:.0%} of the surfaces agree in depth"),
         (e.position_sigma > 0.09, f"position sigma {e.position_sigma:.1%} of the depth"),
+        (
+            e.explained.sides >= _TOLD_SIDES and e.explained.front < _LEAST_FRONT,
+            f"{1 - e.explained.front:.0%} of the surfaces would be seen from behind",
+        ),
+        (
+            p_grave > REJECTED_P_GRAVE,
+            f"of {e.explained.visible} points that both should see {e.explained.share:.0%} are "
+            "found again",
+        ),
     )
 
 
-def _doubts(e: Evidence) -> tuple[str, ...]:
+def _doubts(e: Evidence, p_grave: float) -> tuple[str, ...]:
     """What keeps a pose from being verified."""
-    allowed_px = 1.5 * e.pixel_sigma_px
-    needed = needed_matches(e.ratio_matches)
     off = 3 * e.position_sigma + e.shift + e.pulled
     return _said(
-        (e.inliers < 14, f"{e.inliers} matches agree, need 14"),
-        (e.ratio_inliers < needed, f"{e.ratio_inliers} unguided matches agree, need {needed}"),
+        (e.exact < 14, f"{e.exact} matches agree to the pixel, need 14"),
         (
             off > _VERIFIED_POSITION,
             f"three sigma of the position, and what a refit and surfaces move it, are {off:.1%} "
@@ -101,14 +81,15 @@ def _doubts(e: Evidence) -> tuple[str, ...]:
             f"three sigma of the rotation are {3 * e.rotation_sigma_rad:.3f} rad, need "
             f"{_VERIFIED_ROTATION_RAD:.3f}",
         ),
-        (
-            e.across_px > allowed_px,
-            f"residuals {e.across_px:.2f} px across epipolar lines, need {allowed_px:.2f}",
-        ),
         (e.shift > 0.015, f"a refit moves the pose by {e.shift:.1%} of the depth"),
         (e.compared < 20, f"{e.compared} surface points compared, need 20"),
-        (e.agree < 0.45, f"{e.agree:.0%} of the surfaces agree in depth, need 45 %"),
-        (e.through > 0.10, f"{e.through:.0%} of the moved cloud is seen through, at most 10 %"),
+        (
+            p_grave > VERIFIED_P_GRAVE,
+            f"gravely off with a probability of {p_grave:.1%}, at most {VERIFIED_P_GRAVE:.0%}: "
+            f"{e.explained.share:.0%} of {e.explained.visible} points that both should see are "
+            f"found again, {e.explained.unguided_share:.0%} by looks alone, {e.agree:.0%} of the "
+            f"surfaces agree, {e.through:.0%} are seen through",
+        ),
     )
 
 

@@ -8,18 +8,24 @@ import pytest
 from pose_server.geometry.evidence import agreement
 from pose_server.geometry.se3 import inverse, rotation_angle
 from pose_server.pairs.align import align_pair
+from pose_server.pairs.evidence import NO_RIVAL, Evidence
+from pose_server.pairs.explained import Explained
 from pose_server.pairs.refining import Start
 from pose_server.pairs.starts import Clicks, operator_start, with_operator_fallback
-from pose_server.pairs.verdict import Evidence, judge
+from pose_server.pairs.trust import p_grave
+from pose_server.pairs.trust_model import MODEL
+from pose_server.pairs.verdict import judge
 from pose_server.pairs.views import prepare_view
 from protocol.clouds import decode_salient, encode_salient
 from tests.pose_server.scene import descriptors, pair_of_views, turned, view, walls
 
 GOOD = Evidence(
     inliers=100,
+    exact=95,
     ratio_inliers=60,
     ratio_matches=80,
     rival=0,
+    rivalled=60,
     position_sigma=0.002,
     rotation_sigma_rad=0.002,
     across_px=0.5,
@@ -32,6 +38,19 @@ GOOD = Evidence(
     through=0.01,
     spread=0.2,
     depth_noise=1.0,
+    depth_sigma=0.01,
+    mean_agree=0.92,
+    overlap=0.7,
+    lead=NO_RIVAL,
+    explained=Explained(
+        visible=300,
+        share=0.32,
+        unguided_share=0.8,
+        parallax_rad=0.4,
+        scale=0.05,
+        front=1.0,
+        sides=100,
+    ),
 )
 
 
@@ -77,25 +96,24 @@ def test_a_shifted_pose_is_seen_through_or_disagrees():
         assert wrong.agree < right.agree
 
 
+SURE = 1e-3  # the probability of a grave error that goes with evidence like this
+
+
 @pytest.mark.parametrize(
     "change",
     [
-        {"inliers": 12},
-        {"ratio_inliers": 9},
-        {"ratio_inliers": 14, "ratio_matches": 500},
+        {"exact": 12},
         {"position_sigma": 0.02},
         {"rotation_sigma_rad": 0.05},
-        {"across_px": 1.5},
         {"shift": 0.02},
         {"compared": 5},
-        {"agree": 0.4},
-        {"through": 0.15},
         {"rival": 50},
+        {"lead": 2.0},
     ],
 )
 def test_each_doubt_alone_keeps_a_pose_from_being_verified(change):
-    assert judge(GOOD)[0] == "verified"
-    verdict, reasons = judge(Evidence(**{**GOOD.__dict__, **change}))
+    assert judge(GOOD, SURE)[0] == "verified"
+    verdict, reasons = judge(dataclasses.replace(GOOD, **change), SURE)
     assert verdict != "verified"
     assert reasons and all(reasons)
 
@@ -104,7 +122,39 @@ def test_each_doubt_alone_keeps_a_pose_from_being_verified(change):
     "change", [{"inliers": 3}, {"through": 0.4}, {"agree": 0.1}, {"position_sigma": 0.5}]
 )
 def test_each_contradiction_alone_rejects(change):
-    assert judge(Evidence(**{**GOOD.__dict__, **change}))[0] == "rejected"
+    assert judge(dataclasses.replace(GOOD, **change), SURE)[0] == "rejected"
+
+
+def test_what_would_be_seen_from_behind_is_rejected():
+    behind = dataclasses.replace(GOOD.explained, front=0.05)
+    verdict, reasons = judge(dataclasses.replace(GOOD, explained=behind), SURE)
+    assert verdict == "rejected" and "behind" in reasons[0]
+
+
+def test_the_words_are_limits_on_the_probability():
+    verdicts = [judge(GOOD, p)[0] for p in (0.001, 0.05, 0.99)]
+    assert verdicts == ["verified", "plausible", "rejected"]
+
+
+@pytest.mark.parametrize(
+    "worse",
+    [
+        {"exact": 55},
+        {"depth_noise": 2.5},
+        {"through": 0.2},
+        {"agree": 0.3},
+        {"exact": 20, "inliers": 20},
+        {"position_sigma": 0.02},
+        {"share": 0.05},
+        {"front": 0.3},
+    ],
+)
+def test_each_sign_of_an_alias_makes_a_grave_error_likelier(worse):
+    parts = {k: v for k, v in worse.items() if hasattr(GOOD.explained, k)}
+    rest = {k: v for k, v in worse.items() if k not in parts}
+    explained = dataclasses.replace(GOOD.explained, **parts)
+    changed = dataclasses.replace(GOOD, explained=explained, **rest)
+    assert p_grave(changed, MODEL) > 1.5 * p_grave(GOOD, MODEL)
 
 
 def clicks_of(T_i_j: np.ndarray, points: np.ndarray, K: np.ndarray, sigma_m: float) -> Clicks:

@@ -5,7 +5,8 @@ import pytest
 
 from pose_server.fleet.chances import Look, Try, apart, chances, log_odds, sees
 from pose_server.geometry.se3 import inverse, transform
-from pose_server.pairs.verdict import Evidence
+from pose_server.pairs.evidence import NO_RIVAL, Evidence
+from pose_server.pairs.explained import Explained
 from tests.pose_server.fleet_makers import exp_se3, ring
 
 K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])
@@ -106,6 +107,13 @@ def evidence(**more):
         "through": 0.0,
         "spread": 0.2,
         "depth_noise": 1.0,
+        "depth_sigma": 0.01,
+        "mean_agree": 0.6,
+        "overlap": 0.4,
+        "exact": 50,
+        "rivalled": 14,
+        "lead": NO_RIVAL,
+        "explained": Explained(400, 0.12, 0.1, 0.8, 0.1, 0.9, 60),
     }
     return Evidence(**{**stated, **more})
 

@@ -145,6 +145,8 @@ EXAMPLES = {
             inliers=50,
             start="features",
             timings_ms={"match": 3.5},
+            p_grave=0.004,
+            rivals=(T,),
             server_epoch=EPOCH,
             n=1,
         ),

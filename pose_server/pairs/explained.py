@@ -1,0 +1,132 @@
+"""What should be seen from there, and is found again?
+
+At a claimed pose it is known which salient points of either view should appear in the other. A
+right pose finds most of them again, an alias only the parts that repeat.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pose_server.geometry.evidence import hides
+from pose_server.geometry.patches import sides_seen
+from pose_server.geometry.se3 import inverse, transform
+from pose_server.pairs.pair import Pair
+from pose_server.pairs.views import PreparedView
+
+Floats = npt.NDArray[np.floating]
+Indices = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
+
+_CELL_PX = 4.0  # copies of one spot in several tilted images are one place
+
+
+@dataclass(frozen=True)
+class Explained:
+    """How much of what both views should see in common is found in common.
+
+    Attributes:
+        visible: places of the poorer view that the other one should see.
+        share: places that agree, over these.
+        unguided_share: of the matches by descriptor alone between places that both should see, the
+            ones that agree.
+        parallax_rad: median angle between both cameras' rays to these places.
+        scale: median of |log| of the ratio of both cameras' distances to them.
+        front: share of the surfaces that are seen from their front, of the worse direction.
+        sides: surfaces of which the side can be told, in that direction.
+    """
+
+    visible: int
+    share: float
+    unguided_share: float
+    parallax_rad: float
+    scale: float
+    front: float
+    sides: int
+
+
+@dataclass(frozen=True)
+class Visible:
+    """One view's salient points that another should see.
+
+    Attributes:
+        mask: (N,) of all salient points.
+        parallax_rad, scale: (M,) of those, see `Explained`.
+    """
+
+    mask: Bools
+    parallax_rad: Floats
+    scale: Floats
+
+
+def explained(pair: Pair, T: Floats, agreeing: Indices, unguided: Bools) -> Explained:
+    """What a pose explains.
+
+    Args:
+        pair: the views.
+        T: T_i_j.
+        agreeing: (M, 2) matches that agree with it.
+        unguided: (R,) which of `pair.ratio` do.
+    """
+    of_j = visible_in(pair.j, pair.i, T, pair.sigma)
+    of_i = visible_in(pair.i, pair.j, inverse(T), pair.sigma)
+    places_i = count_places(pair.i.observed.uv[of_i.mask])
+    places_j = count_places(pair.j.observed.uv[of_j.mask])
+    found_i = count_places(pair.i.observed.uv[agreeing[:, 0]])
+    found_j = count_places(pair.j.observed.uv[agreeing[:, 1]])
+    expected = of_i.mask[pair.ratio[:, 0]] & of_j.mask[pair.ratio[:, 1]]
+    front, sides = _sides(pair, T)
+    return Explained(
+        visible=min(places_i, places_j),
+        share=min(found_i, found_j) / max(min(places_i, places_j), 1),
+        unguided_share=float((unguided & expected).sum() / max(expected.sum(), 1)),
+        parallax_rad=_median(np.concatenate((of_i.parallax_rad, of_j.parallax_rad))),
+        scale=_median(np.concatenate((of_i.scale, of_j.scale))),
+        front=front,
+        sides=sides,
+    )
+
+
+def visible_in(
+    source: PreparedView, target: PreparedView, T_target_source: Floats, sigma: float
+) -> Visible:
+    """Which salient points of a view should be seen in another: they fall into its image, and
+    nothing that it sees there hides them.
+    """
+    predicted = source.observed.predict_in(target.observed, T_target_source, 0.0)
+    seen = ~hides(target.surface, predicted.uv, 1.0 / predicted.inverse_depth, sigma)
+    mask = np.zeros(len(source.observed.uv), bool)
+    mask[predicted.index[seen]] = True
+    here = source.observed.points[predicted.index[seen]]
+    return Visible(mask, *_seen_from_both(here, T_target_source))
+
+
+def count_places(uv: Floats) -> int:
+    """Distinct places among pixels (N, 2)."""
+    return len(np.unique(np.rint(uv / _CELL_PX), axis=0))
+
+
+def _seen_from_both(points: Floats, T_target_source: Floats) -> tuple[Floats, Floats]:
+    """Angle between both cameras' rays to points (M, 3), and |log| of the ratio of distances."""
+    there = transform(T_target_source, points)
+    turned = points @ T_target_source[:3, :3].T
+    far_here, far_there = np.linalg.norm(points, axis=1), np.linalg.norm(there, axis=1)
+    cosine = (turned * there).sum(axis=1) / np.maximum(far_here * far_there, 1e-12)
+    ratio = np.maximum(far_there, 1e-12) / np.maximum(far_here, 1e-12)
+    return np.arccos(np.clip(cosine, -1, 1)), np.abs(np.log(ratio))
+
+
+def _sides(pair: Pair, T: Floats) -> tuple[float, int]:
+    """The share of surfaces seen from their front, of the worse direction, and of how many."""
+    both = (
+        sides_seen(pair.j.surface.patches, T, pair.i.surface.K, pair.i.surface.size),
+        sides_seen(pair.i.surface.patches, inverse(T), pair.j.surface.K, pair.j.surface.size),
+    )
+    told = [one for one in both if one.told] or both
+    worse = min(told, key=lambda one: one.front)
+    return worse.front, worse.told
+
+
+def _median(values: Floats) -> float:
+    return float(np.median(values)) if len(values) else 0.0

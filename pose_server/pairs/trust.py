@@ -1,0 +1,125 @@
+"""How likely a found pose is gravely off, by all evidence together.
+
+Every sign is taken in contrast to what a right pose shows at that parallax, scale and depth noise,
+then all are added up (a logistic regression with the sign of each weight given). Both were fitted
+by `pose-eval trust`, which prints them and judges them on places they were not fitted on.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pose_server.pairs.evidence import Evidence
+
+Floats = npt.NDArray[np.floating]
+
+_NOTHING = 0.003  # share of places that is as good as none: its logarithm stays finite
+_MOST_THROUGH, _MOST_OFF = 0.6, 0.5
+_LEAST, _MOST = 1e-4, 1 - 1e-4  # no evidence of one pair says more: so many pairs were fitted on
+
+
+@dataclass(frozen=True)
+class TrustModel:
+    """Fitted numbers; see `pose-eval trust`.
+
+    Attributes:
+        expected: (3, 6) weights of `circumstances`, for the log of the explained share, of the
+            unguided share, and for the logit of the agreement, as a right pose has them.
+        scatter: (3,) sigmas of right poses around these.
+        weights: (S,) of `signs`, and `bias`: the log odds of a grave error.
+    """
+
+    expected: tuple[tuple[float, ...], ...]
+    scatter: tuple[float, ...]
+    weights: tuple[float, ...]
+    bias: float
+
+
+def circumstances(e: Evidence) -> Floats:
+    """(6,) what a share depends on, though the pose is right."""
+    parallax = e.explained.parallax_rad
+    return np.array(
+        (
+            1.0,
+            parallax,
+            min(parallax, 1.5) ** 2,
+            min(e.explained.scale, 1.5),
+            np.log(max(e.explained.visible, 1) / 500),
+            np.log(max(e.depth_sigma, 1e-3) / 0.01),
+        )
+    )
+
+
+def shares(e: Evidence) -> Floats:
+    """(3,) log of the explained share and of the unguided share, logit of the agreement."""
+    agree = np.clip(e.agree, 0.02, 0.98)
+    return np.array(
+        (
+            np.log(e.explained.share + _NOTHING),
+            np.log(e.explained.unguided_share + _NOTHING),
+            np.log(agree / (1 - agree)),
+        )
+    )
+
+
+def signs(e: Evidence, contrast: Floats) -> Floats:
+    """(S,) signs of a grave error, each the larger the more likely one is.
+
+    Args:
+        e: the evidence.
+        contrast: (3,) of its shares with what right poses have, sigmas; negative is poor.
+    """
+    lacking, surplus = np.clip(-contrast, 0, 8), np.clip(contrast, 0, 2)
+    return np.array(
+        (
+            *lacking,
+            *(2 - surplus),
+            -np.log(max(e.exact, 1)),
+            -np.log(max(e.ratio_inliers, 1)),
+            -np.log(max(2 * e.exact - e.inliers, 1)),
+            np.log(np.clip(e.depth_noise, 0.8, 4.0)),
+            np.log(np.clip(e.through, 0.01, _MOST_THROUGH)),
+            1 - e.explained.front if e.explained.sides >= 10 else 0.0,
+            np.log(np.clip(3 * e.position_sigma + e.shift + e.pulled, 0.003, _MOST_OFF)),
+            min((e.rival + 1) / (e.rivalled + 1), 1.0),
+        )
+    )
+
+
+SIGNS = (
+    "explained_lacking",
+    "unguided_lacking",
+    "agreement_lacking",
+    "explained_poor",
+    "unguided_poor",
+    "agreement_poor",
+    "few_exact",
+    "few_unguided",
+    "hazy",
+    "loose_depths",
+    "seen_through",
+    "from_behind",
+    "undetermined",
+    "rival",
+)
+
+
+def contrast(model: TrustModel, e: Evidence) -> Floats:
+    """(3,) of the shares with what right poses have in these circumstances, sigmas."""
+    expected = np.asarray(model.expected) @ circumstances(e)
+    return (shares(e) - expected) / np.asarray(model.scatter)
+
+
+def p_grave(e: Evidence, model: TrustModel) -> float:
+    """Probability (0..1) that a pose with this evidence is gravely off."""
+    log_odds = model.bias + float(np.dot(model.weights, signs(e, contrast(model, e))))
+    return float(np.clip(1 / (1 + np.exp(-np.clip(log_odds, -30, 30))), _LEAST, _MOST))
+
+
+def with_rivals(chance: float, lead: float) -> float:
+    """The probability where an alias of the place is a rival, and the pose leads by so many sigmas:
+    one of both is right, and with no lead either may be.
+    """
+    share = 1 / (1 + np.exp(np.clip(lead, -30, 30)))
+    return float(np.clip(chance + (1 - chance) * share, _LEAST, _MOST))
