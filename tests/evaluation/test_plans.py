@@ -2,22 +2,27 @@
 apart, and the folders are recordings like any other.
 """
 
+import threading
+
 import cv2
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
 from evaluation.datasets import CLOUD_KINDS, open_recording, points_of, shared_tracks
+from evaluation.fleet import FleetOptions, plan_fleet
 from evaluation.geometry import transform
 from evaluation.options import WorldOption
 from evaluation.synth import SynthOptions, run
+from evaluation.truth import WorldTruth
 from evaluation.world import PLANS, PlanWorld
 from evaluation.world.planned import plan_named, stations
 from evaluation.world.render import Renderer
 from evaluation.world.robots import HEIGHT, WIDTH
 from evaluation.world.things import unique_things
+from evaluation.world_server import WorldOptions, WorldServer, write_truth
 from protocol.errors import FleetPoseError
-from robot_agent.cameras.synthetic import mount
+from robot_agent.cameras.synthetic import mount, open_camera
 
 ROBOTS = 3
 SYMMETRIC = sorted(set(PLANS) - {"weak"})
@@ -175,3 +180,44 @@ def test_what_cannot_be_is_said(tmp_path):
         with pytest.raises(FleetPoseError, match=words):
             run(tmp_path / "none", options)
     assert not (tmp_path / "none").exists()
+
+
+def test_a_plan_is_served_live_with_its_own_rig_and_its_truth(tmp_path):
+    options = WorldOptions(robots=3, seed=2, plan="corridor", unique=4)
+    world = options.world()
+    write_truth(world, tmp_path / "truth")
+    truth = WorldTruth(tmp_path / "truth", {"a": "r1", "b": "r3"})
+    assert np.allclose(truth._content()["T_world_robots"]["r3"], world.T_world_robot("r3"))
+    server = WorldServer(("127.0.0.1", 0), world, None)
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
+    thread.start()
+    try:
+        camera = open_camera(f"127.0.0.1:{server.server_address[1]}/r3", "once")
+        frame = next(camera.frames())
+        camera.close()
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+    baseline_m = frame.model.noise.focal_baseline_px_m / frame.model.K[0, 0]
+    assert baseline_m == pytest.approx(world.plan.baseline_m)
+    seen = world.scene.image(
+        world.T_world_robot("r3") @ mount(), world.rig.K_left, (WIDTH, HEIGHT), samples=2
+    )
+    assert np.corrcoef(frame.image.ravel()[::50], seen.ravel()[::50])[0, 1] > 0.98
+
+
+def test_a_fleet_in_a_plan_starts_a_world_of_that_plan(tmp_path):
+    options = FleetOptions(3, 30.0, world="facade", unique=7, seed=5)
+    world = " ".join(plan_fleet(options, tmp_path).world)
+    assert "--plan facade --unique 7" in world
+    assert "--seed 5" in world
+    for wrong in (
+        FleetOptions(3, 30.0, world="facade", moving=True),
+        FleetOptions(3, 30.0, unique=7),
+        FleetOptions(3, 30.0, world="facade", data=tmp_path),
+    ):
+        with pytest.raises(FleetPoseError, match="--world"):
+            plan_fleet(wrong, tmp_path)
+    with pytest.raises(FleetPoseError, match="stand still"):
+        WorldOptions(robots=3, plan="facade", turning=("r2",)).world()
