@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from evaluation import live
-from evaluation.options import Clouds, Data, Out
+from evaluation.options import Clouds, Data, Out, Unique, World
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, rich_markup_mode=None)
 app.add_typer(live.app)
@@ -163,17 +163,23 @@ def clicks(
 @app.command()
 def synth(
     out: Out,
-    robots: Annotated[int, typer.Option(min=8, max=72, help="Neighbours are 360/N deg apart.")],
-    seed: Annotated[int, typer.Option(help="Of textures and noise.")] = 0,
+    robots: Annotated[
+        int, typer.Option(min=2, help="On the ring 8 to 72: neighbours are 360/N deg apart.")
+    ],
+    seed: Annotated[int, typer.Option(help="Of textures, places and noise.")] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    world: World = None,
+    unique: Unique = 0,
 ) -> None:
-    """Write the synthetic world as a folder of posed views, robots on a ring at 360/N degrees.
+    """Write a synthetic world as a folder of posed views: the town square with robots on a ring at
+    360/N degrees, or with --world a place of alike parts with robots here and there.
 
-    Then run it: `pose-eval ring --data OUT --clouds stereo_dense --out RESULTS`.
+    Then run it: `pose-eval ring --data OUT --clouds stereo_dense --out RESULTS`; a plan:
+    `pose-eval pairs --data OUT --clouds stereo_dense --out RESULTS`.
     """
-    from evaluation.synth import run
+    from evaluation.synth import SynthOptions, run
 
-    run(out, robots, seed, workers)
+    run(out, SynthOptions(robots, seed, world.value if world else None, unique), workers)
 
 
 @app.command()

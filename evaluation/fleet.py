@@ -85,6 +85,8 @@ class FleetOptions:
     cluster: str | None = None
     moving: bool = False
     seed: int = 0
+    world: str | None = None  # a plan that fools, instead of the town square
+    unique: int = 0
 
 
 @dataclass
@@ -165,7 +167,11 @@ def plan_fleet(options: FleetOptions, scratch: Path) -> FleetPlan:
     rng = random.Random()
     names = distinct_names(options.robots, rng)
     if options.data is None:
-        return plan_world(names, scratch, options.moving, options.seed)
+        return plan_world(
+            names, scratch, options.moving, options.seed, options.world, options.unique
+        )
+    if options.world is not None:
+        raise FleetPoseError(f"--world {options.world} and --data: give one of them")
     recording = open_recording(options.data, options.clouds)
     parts = parts_of(recording, options.robots, options.first)
     folders = {
@@ -180,12 +186,31 @@ def plan_fleet(options: FleetOptions, scratch: Path) -> FleetPlan:
     )
 
 
-def plan_world(names: Sequence[str], scratch: Path, moving: bool, seed: int) -> FleetPlan:
-    """Robots in the synthetic world, which runs in a process of its own.
+def plan_world(
+    names: Sequence[str],
+    scratch: Path,
+    moving: bool,
+    seed: int,
+    plan: str | None = None,
+    unique: int = 0,
+) -> FleetPlan:
+    """Robots in a synthetic world, which runs in a process of its own.
+
+    Args:
+        names: of the robots.
+        scratch: where the truth goes.
+        moving: they walk.
+        seed: of the world.
+        plan: one that fools; else the town square.
+        unique: how many unique things stand about in it.
 
     Raises:
-        FleetPoseError: too many robots are to walk.
+        FleetPoseError: too many robots are to walk, or robots of a plan.
     """
+    if moving and plan is not None:
+        raise FleetPoseError(f"--moving --world {plan}: robots of a plan stand still")
+    if unique and plan is None:
+        raise FleetPoseError(f"--unique {unique}: name a plan with --world")
     if moving and len(names) > MOST_AGENTS:
         raise FleetPoseError(
             f"--moving --robots {len(names)}: beyond {MOST_AGENTS} robots replay what was encoded "
@@ -195,6 +220,7 @@ def plan_world(names: Sequence[str], scratch: Path, moving: bool, seed: int) -> 
     truth_file = scratch / "truth"
     world = ["world", "--robots", str(len(names)), "--listen", listen, "--seed", str(seed)]
     world += ["--truth-file", str(truth_file), *(["--moving"] if moving else [])]
+    world += [] if plan is None else ["--plan", plan, "--unique", str(unique)]
     places = {name: f"r{number + 1}" for number, name in enumerate(names)}
     robots = tuple(
         RobotPlan(name, "synthetic", f"{listen}/{place}", rate_hz=RATE_HZ)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from evaluation.options import Clouds, Out
+from evaluation.options import Clouds, Out, Unique, World
 
 app = typer.Typer()
 
@@ -32,6 +32,9 @@ def fleet(
     ] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Alignment processes.")] = 2,
     moving: Annotated[bool, typer.Option("--moving", help="Synthetic robots walk.")] = False,
+    world: World = None,
+    unique: Unique = 0,
+    seed: Annotated[int, typer.Option(help="Of the synthetic world.")] = 0,
 ) -> None:
     """Run a live fleet on a recording or in the synthetic world and score its poses."""
     from evaluation.fleet import FleetOptions, run
@@ -48,6 +51,9 @@ def fleet(
         clicks_on_skipped=clicks_on_skipped,
         workers=workers,
         moving=moving,
+        seed=seed,
+        world=world.value if world else None,
+        unique=unique,
     )
     run(options, out)
 
@@ -164,8 +170,21 @@ def world(
         bool, typer.Option("--person", help="Somebody walks before the second robot.")
     ] = False,
     truth_file: Annotated[Path | None, typer.Option(help="Where true poses are written.")] = None,
+    plan: World = None,
+    unique: Unique = 0,
 ) -> None:
     """Serve a synthetic world, for robots with `--camera synthetic --data host:port/r1`."""
+    from evaluation.world_server import WorldOptions
     from evaluation.world_server import main as serve
 
-    serve(robots, listen, seed, separation, moving, truth_file, turning or (), person)
+    options = WorldOptions(
+        robots=robots,
+        seed=seed,
+        separation_deg=separation,
+        moving=moving,
+        turning=tuple(turning or ()),
+        person=person,
+        plan=plan.value if plan else None,
+        unique=unique,
+    )
+    serve(options, listen, truth_file)

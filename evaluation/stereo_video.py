@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from evaluation.world.render import Depth, Floats, Image, Quad, Renderer
-from evaluation.world.ring import GREY_SIGMA, HEIGHT, WIDTH, RingWorld, ring_rig
+from evaluation.world.ring import RingWorld, ring_rig
+from evaluation.world.robots import GREY_SIGMA, HEIGHT, WIDTH
 from protocol.errors import FleetPoseError
 from robot_agent.cameras.rig import StereoRig
 from robot_agent.cameras.synthetic import mount

@@ -1,4 +1,5 @@
-"""`pose-eval synth`: the synthetic world as a folder of posed views, robots on a regular ring.
+"""`pose-eval synth`: a synthetic world as a folder of posed views: robots on a regular ring in the
+town square, or at the places of a plan that fools.
 
 The folder has the form of recorded posed views, so that whatever runs on those runs on it. The
 dense clouds come from each robot's own stereo rig by the project's own matching.
@@ -6,7 +7,7 @@ dense clouds come from each robot's own stereo rig by the project's own matching
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import numpy.typing as npt
 from evaluation.geometry import Floats, inverse, transform
 from evaluation.report import output_folder, progress_bar
 from evaluation.working import as_done, worker_pool
-from evaluation.world import RingWorld
+from evaluation.world import PLANS, PlanWorld, RingWorld, World
 from protocol.errors import FleetPoseError
 from robot_agent.cameras.base import DisparityImage, Frame
 from robot_agent.cameras.stereo import StereoMatcher
@@ -27,24 +28,75 @@ DENSE_POINTS = 20_000
 NOISY_PIXEL_SIGMA_PX = 0.7
 NOISY_DISPARITY_SIGMA_PX = 0.5
 NOISY_BASELINE_SHARE = 0.05
+_RING_ROBOTS = (8, 72)
 _CORNERS_IN_ALL, _CORNERS_PER_VIEW = 24_000, (300, 2500)
 _CORNER_DISTANCE_PX = 4
 _SAME_DEPTH = 0.02  # share of z: a point is seen if the surface there is as near as this
 _MATCH_RATIO, _MATCH_ROW_PX, _MIN_DISPARITY_PX = 0.8, 1.0, 2.0
 
-_SOURCE = """Made by `pose-eval synth --robots {robots} --seed {seed}`: a rendered town square, {robots}
+_RING = """Made by `pose-eval synth --robots {robots} --seed {seed}`: a rendered town square, {robots}
 robots on a ring of {radius_m:g} m around its middle, {separation_deg:g} deg apart, headings up to 3 deg off.
-cameras.json: x_cam = R_world_to_cam X_world + t_world_to_cam, exact; OpenCV axes; metres;
-integer pixel = pixel centre. ring_angle_deg: azimuth of the robot.
+ring_angle_deg: azimuth of the robot.
+"""  # noqa: E501
+_PLAN = """Made by `pose-eval synth --world {plan} --unique {unique} --robots {robots} --seed
+{seed}`: a rendered place of alike parts, {unique} unique things in it, robots by chance.
+"""
+_SOURCE = """cameras.json: x_cam = R_world_to_cam X_world + t_world_to_cam, exact; OpenCV axes; metres;
+integer pixel = pixel centre.
 images/: left eye, 2x2 samples per pixel, noise of 1.5 grey levels, exposures differ by some %.
 sparse/: corners of all images, placed by the renderer's exact depth, in every view that sees them
-(track_id in common, exact pixels and points: identical in all views).
+(track_id in common, exact pixels and points: identical in all views); alike places have other ids.
 sparse_noisy/: the same as a rig with a baseline of 5 % of the median depth would measure them:
 Gaussian noise of {pixel_px:g} px in the image, {disparity_px:g} px of disparity (sigma_z, metres), anew per view.
 stereo_dense/: semi-global matching of the robot's own two eyes, {baseline_m:g} m apart, each with its
 own noise; at most {dense} points, by chance. No view is another's partner.
 stereo_pair_sparse/: SIFT matches between the same two eyes, on a row to {row_px:g} px, ratio {ratio:g}.
 """  # noqa: E501
+
+
+@dataclass(frozen=True)
+class SynthOptions:
+    """What `pose-eval synth` is asked for.
+
+    Attributes:
+        robots: how many.
+        seed: of textures, unique things, places and noise.
+        plan: one that fools; without one the town square with a regular ring.
+        unique: how many unique things stand about in a plan.
+    """
+
+    robots: int
+    seed: int = 0
+    plan: str | None = None
+    unique: int = 0
+
+    def check(self) -> None:
+        """Says early what cannot be.
+
+        Raises:
+            FleetPoseError: this cannot.
+        """
+        if self.plan is not None and self.plan not in PLANS:
+            raise FleetPoseError(f"--world {self.plan}: there are {', '.join(sorted(PLANS))}")
+        if self.plan is None and self.unique:
+            raise FleetPoseError(f"--unique {self.unique}: name a plan with --world")
+        if self.plan is None and not _RING_ROBOTS[0] <= self.robots <= _RING_ROBOTS[1]:
+            raise FleetPoseError(
+                f"--robots {self.robots}: a ring has {_RING_ROBOTS[0]} to {_RING_ROBOTS[1]}"
+            )
+
+    def world(self) -> World:
+        """The world and its robots."""
+        if self.plan is not None:
+            return PlanWorld(self.plan, self.robots, self.unique, self.seed)
+        return RingWorld(self.robots, 360.0 / self.robots, seed=self.seed)
+
+    def source(self, radius_m: float) -> str:
+        """How the views were made, in words."""
+        if self.plan is not None:
+            return _PLAN.format(**asdict(self))
+        separation_deg = 360.0 / self.robots
+        return _RING.format(**asdict(self), radius_m=radius_m, separation_deg=separation_deg)
 
 
 @dataclass(frozen=True)
@@ -63,7 +115,7 @@ class _Seen:
     baseline_m: float
 
 
-def run(out: Path, robots: int, seed: int = 0, workers: int = 2) -> None:
+def run(out: Path, options: SynthOptions, workers: int = 2) -> None:
     """Writes the folder.
 
     Raises:
@@ -71,51 +123,53 @@ def run(out: Path, robots: int, seed: int = 0, workers: int = 2) -> None:
     """
     if (out / "cameras.json").exists():
         raise FleetPoseError(f"--out {out} holds posed views already; name a new folder")
+    options.check()
+    robots = options.robots
     for kind in ("images", "sparse", "sparse_noisy", "stereo_dense", "stereo_pair_sparse"):
         output_folder(out / kind)
     with worker_pool(workers) as pool, progress_bar() as progress:
         bar = progress.add_task("views", total=2 * robots)
         seen: dict[int, _Seen] = {}
-        jobs = [(k, (_look, out, robots, seed, k)) for k in range(robots)]
+        jobs = [(k, (_look, out, options, k)) for k in range(robots)]
         for k, one in as_done(pool, jobs, in_flight=2 * workers):
             seen[k] = one
             progress.advance(bar)
         world_points = np.concatenate([seen[k].corners for k in range(robots)])
         visible: dict[int, npt.NDArray[np.int64]] = {}
-        jobs = [(k, (_visible_from, robots, seed, k, world_points)) for k in range(robots)]
+        jobs = [(k, (_visible_from, options, k, world_points)) for k in range(robots)]
         for k, ids in as_done(pool, jobs, in_flight=2 * workers):
             visible[k] = ids
             progress.advance(bar)
     lengths = np.bincount(np.concatenate(list(visible.values())), minlength=len(world_points))
     for k in range(robots):
         ids = visible[k][lengths[visible[k]] >= 2]
-        _write_tracks(out, seen[k].camera, ids, world_points[ids], lengths[ids], (seed, k))
-    _write_cameras(out, [seen[k] for k in range(robots)], robots, seed)
+        _write_tracks(out, seen[k].camera, ids, world_points[ids], lengths[ids], (options.seed, k))
+    _write_cameras(out, [seen[k] for k in range(robots)], options)
 
 
-def _look(out: Path, robots: int, seed: int, k: int) -> _Seen:
+def _look(out: Path, options: SynthOptions, k: int) -> _Seen:
     """Writes one view's image and stereo clouds; runs in a worker."""
-    world, matcher = _world(robots, seed)
+    world, matcher = _world(options)
     shot = world.shoot(k)
     frame = matcher.frame(shot.left, shot.right, 0)
     T_world_camera = shot.T_world_robot @ frame.model.T_robot_camera
-    camera = _camera(k, frame, T_world_camera)
+    camera = _camera(k, frame, T_world_camera, options.plan is None)
     cv2.imwrite(str(out / "images" / camera["name"]), frame.image)
-    rng = np.random.default_rng((seed, k, 1))
+    rng = np.random.default_rng((options.seed, k, 1))
     dense = _dense(frame, rng)
     sparse = _matched(frame, matcher.rectifier.right(shot.right))
     for kind, (uv, z) in (("stereo_dense", dense), ("stereo_pair_sparse", sparse)):
         _write_cloud(out / kind, camera, frame.image, uv, _lifted(uv, z, frame.model.K))
     depth = world.scene.depth(T_world_camera, frame.model.K, (camera["width"], camera["height"]))
-    corners = _corners(frame.image, depth, _per_view(robots))
+    corners = _corners(frame.image, depth, _per_view(options.robots))
     points = transform(T_world_camera, _lifted(*corners, frame.model.K))
     baseline_m = matcher.rectifier.baseline_m
     return _Seen(camera, points, len(dense[0]), len(sparse[0]), baseline_m)
 
 
-def _visible_from(robots: int, seed: int, k: int, points: Floats) -> npt.NDArray[np.int64]:
+def _visible_from(options: SynthOptions, k: int, points: Floats) -> npt.NDArray[np.int64]:
     """Which world points (N, 3) a robot's camera sees; runs in a worker."""
-    world, matcher = _world(robots, seed)
+    world, matcher = _world(options)
     model = matcher.model
     T_world_camera = world.T_world_robot(k) @ model.T_robot_camera
     size = (model.width, model.height)
@@ -129,14 +183,15 @@ def _visible_from(robots: int, seed: int, k: int, points: Floats) -> npt.NDArray
 
 
 @lru_cache(maxsize=1)
-def _world(robots: int, seed: int) -> tuple[RingWorld, StereoMatcher]:
-    world = RingWorld(robots, 360.0 / robots, seed=seed)
+def _world(options: SynthOptions) -> tuple[World, StereoMatcher]:
+    world = options.world()
     return world, StereoMatcher(world.rig)
 
 
-def _camera(k: int, frame: Frame, T_world_camera: Floats) -> dict[str, Any]:
+def _camera(k: int, frame: Frame, T_world_camera: Floats, on_ring: bool) -> dict[str, Any]:
     T_camera_world = inverse(T_world_camera)
     x, y = T_world_camera[:2, 3]
+    ring = {"ring_angle_deg": float(np.degrees(np.arctan2(y, x)) % 360.0)} if on_ring else {}
     return {
         "name": f"view{k:03d}.png",
         "width": frame.model.width,
@@ -145,7 +200,7 @@ def _camera(k: int, frame: Frame, T_world_camera: Floats) -> dict[str, Any]:
         "R_world_to_cam": T_camera_world[:3, :3].tolist(),
         "t_world_to_cam": T_camera_world[:3, 3].tolist(),
         "camera_center_world": T_world_camera[:3, 3].tolist(),
-        "ring_angle_deg": float(np.degrees(np.arctan2(y, x)) % 360.0),
+        **ring,
     }
 
 
@@ -239,7 +294,7 @@ def _write_cloud(
     np.savez_compressed(folder / Path(camera["name"]).with_suffix(".npz").name, **arrays)
 
 
-def _write_cameras(out: Path, seen: Sequence[_Seen], robots: int, seed: int) -> None:
+def _write_cameras(out: Path, seen: Sequence[_Seen], options: SynthOptions) -> None:
     """The stereo clouds' index files, the source, and last of all the list of cameras."""
     for kind in ("dense", "sparse"):
         index = {
@@ -253,10 +308,6 @@ def _write_cameras(out: Path, seen: Sequence[_Seen], robots: int, seed: int) -> 
         folder = "stereo_dense" if kind == "dense" else "stereo_pair_sparse"
         (out / folder / "index.json").write_text(json.dumps(index, indent=1) + "\n")
     text = _SOURCE.format(
-        robots=robots,
-        seed=seed,
-        radius_m=float(np.hypot(*seen[0].camera["camera_center_world"][:2])),
-        separation_deg=360.0 / robots,
         pixel_px=NOISY_PIXEL_SIGMA_PX,
         disparity_px=NOISY_DISPARITY_SIGMA_PX,
         baseline_m=seen[0].baseline_m,
@@ -264,7 +315,8 @@ def _write_cameras(out: Path, seen: Sequence[_Seen], robots: int, seed: int) -> 
         row_px=_MATCH_ROW_PX,
         ratio=_MATCH_RATIO,
     )
-    (out / "SOURCE.txt").write_text(text)
+    radius_m = float(np.hypot(*seen[0].camera["camera_center_world"][:2]))
+    (out / "SOURCE.txt").write_text(options.source(radius_m) + text)
     convention = "x_cam = R X_world + t; OpenCV axes; pixel = K x_cam / z; metres"
     cameras = {"convention": convention, "cameras": [one.camera for one in seen]}
     (out / "cameras.json").write_text(json.dumps(cameras, indent=1) + "\n")

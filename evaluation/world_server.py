@@ -12,13 +12,13 @@ import signal
 import socketserver
 import threading
 import time
-from collections.abc import Collection
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from evaluation.world.ring import RingWorld
+from evaluation.world import PlanWorld, RingWorld, World
 from protocol.errors import FleetPoseError
 from robot_agent.cameras.rig import StereoRig
 
@@ -33,7 +33,7 @@ class WorldServer(socketserver.ThreadingTCPServer):
     allow_reuse_address = True
     daemon_threads = True
 
-    def __init__(self, address: tuple[str, int], world: RingWorld, log: Path | None) -> None:
+    def __init__(self, address: tuple[str, int], world: World, log: Path | None) -> None:
         self.world = world
         self._began_s = time.monotonic()
         self._log = log
@@ -118,7 +118,7 @@ def rig_message(rig: StereoRig) -> dict[str, Any]:
     }
 
 
-def write_truth(world: RingWorld, file: Path) -> None:
+def write_truth(world: World, file: Path) -> None:
     """Writes radius and first poses in one step, so that a reader never sees half a file."""
     robots = {name: world.T_world_robot(name).tolist() for name in world.names}
     part = file.with_suffix(".part")
@@ -126,34 +126,74 @@ def write_truth(world: RingWorld, file: Path) -> None:
     part.replace(file)
 
 
-def main(
-    robots: int,
-    listen: str,
-    seed: int,
-    separation_deg: float | None,
-    moving: bool,
-    truth_file: Path | None,
-    turning: Collection[str] = (),
-    person: bool = False,
-) -> None:
-    """Serves a ring world until SIGTERM or SIGINT.
+@dataclass(frozen=True)
+class WorldOptions:
+    """Which world is served: the town square with robots on a ring, or a plan that fools.
+
+    Attributes:
+        robots: how many.
+        seed: of textures, places and noise.
+        separation_deg, moving, turning, person: of a ring, see `RingWorld`.
+        plan: its name; its robots stand still.
+        unique: how many unique things stand about in it.
+    """
+
+    robots: int
+    seed: int = 0
+    separation_deg: float | None = None
+    moving: bool = False
+    turning: tuple[str, ...] = ()
+    person: bool = False
+    plan: str | None = None
+    unique: int = 0
+
+    @property
+    def moves(self) -> bool:
+        """Whether any robot does."""
+        return self.moving or bool(self.turning)
+
+    def world(self) -> World:
+        """The world and its robots.
+
+        Raises:
+            FleetPoseError: it cannot be.
+        """
+        if self.plan is None:
+            if self.unique:
+                raise FleetPoseError(f"--unique {self.unique}: name a plan with --plan")
+            return RingWorld(
+                self.robots,
+                self.separation_deg,
+                seed=self.seed,
+                moving=self.moving,
+                turning=self.turning,
+                person=self.person,
+            )
+        if self.moves or self.person or self.separation_deg is not None:
+            raise FleetPoseError(
+                f"in the plan {self.plan} robots stand still, here and there, and nobody walks"
+            )
+        return PlanWorld(self.plan, self.robots, self.unique, self.seed)
+
+
+def main(options: WorldOptions, listen: str, truth_file: Path | None) -> None:
+    """Serves a world until SIGTERM or SIGINT.
 
     Args:
+        options: which.
         listen: `host:port`.
         truth_file: where the true poses go; of a moving world those of every frame as well, one
             JSON line each, in a file of that name with `.log.jsonl` behind it.
 
     Raises:
-        FleetPoseError: the address is taken or no address, or the ring cannot be.
+        FleetPoseError: the address is taken or no address, or the world cannot be.
     """
     host, _, port = listen.rpartition(":")
     if not host or not port.isdigit():
         raise FleetPoseError(f"'{listen}' is no address: give host:port")
-    world = RingWorld(
-        robots, separation_deg, seed=seed, moving=moving, turning=turning, person=person
-    )
-    moves = moving or bool(turning)
-    log = Path(f"{truth_file}.log.jsonl") if truth_file is not None and moves else None
+    world = options.world()
+    logged = truth_file is not None and options.moves
+    log = Path(f"{truth_file}.log.jsonl") if logged else None
     try:
         server = WorldServer((host, int(port)), world, log)
     except OSError as error:
@@ -163,7 +203,7 @@ def main(
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: threading.Thread(target=server.shutdown).start())
     with server:
-        print(f"world of {robots} robots on {listen}", flush=True)
+        print(f"world of {options.robots} robots on {listen}", flush=True)
         server.serve_forever(poll_interval=0.1)
 
 

@@ -52,6 +52,23 @@ class Builder:
         corner = np.append(centre - along + across, z)
         self._add(corner, np.append(2 * along, 0.0), np.append(-2 * across, 0.0), paint, 0.0)
 
+    def ceiling(
+        self, centre: Floats, along: Floats, across: Floats, z: float, paint: Paint
+    ) -> None:
+        """A level surface seen from below; arguments as of `slab`."""
+        corner = np.append(centre - along - across, z)
+        self._add(corner, np.append(2 * along, 0.0), np.append(2 * across, 0.0), paint, 0.0)
+
+    def box(
+        self, x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], paint: Paint
+    ) -> None:
+        """A box along the axes, painted on all sides that can be seen from outside."""
+        outline = np.array(((x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1])))
+        self.prism(outline, z, paint, top=paint)
+        if z[0] > 0:
+            along, across = np.array(((x[1] - x[0]) / 2, 0.0)), np.array((0.0, (y[1] - y[0]) / 2))
+            self.ceiling(outline.mean(0), along, across, z[0], paint)
+
     def _add(self, corner: Floats, right: Floats, down: Floats, paint: Paint, taper: float) -> None:
         texture = paint(self.rng, float(np.linalg.norm(right)), float(np.linalg.norm(down)))
         normal = np.cross(down, right) / np.linalg.norm(np.cross(down, right))

@@ -301,6 +301,15 @@ def _affine(abc: Floats, x: npt.NDArray[np.intp], y: npt.NDArray[np.intp]) -> De
 
 
 def _place(textures: Sequence[Image]) -> _Placed:
+    """Puts every texture on one canvas, once however many quads show it."""
+    distinct = {id(texture): texture for texture in textures}
+    order = {key: k for k, key in enumerate(distinct)}
+    which = np.array([order[id(texture)] for texture in textures])
+    placed = _packed(list(distinct.values()))
+    return placed._replace(starts=placed.starts[which], sizes=placed.sizes[which])
+
+
+def _packed(textures: Sequence[Image]) -> _Placed:
     """Packs textures on shelves, each with a border of its own edge colours, and adds the
     coarser levels beside.
     """

@@ -9,21 +9,18 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from evaluation.world import facades, textures
-from evaluation.world.build import SUN, Builder, Paint, polar, rectangle, regular
+from evaluation.world import textures
+from evaluation.world.build import SUN, Builder, polar, rectangle, regular
+from evaluation.world.colours import COPPER, RED_TILES, SLATE
 from evaluation.world.facades import Style
+from evaluation.world.paints import bare, cloth, crate, dressed, pasted, tiles
 from evaluation.world.render import Floats, Renderer
 from evaluation.world.textures import Rng, Texture
 
-WALL_PX_PER_M = 96.0
 RIM_PX_PER_M = 32.0
 GROUND_PX_PER_M = 60.0
 GROUND_HALF_M = 17.0
 RIM_APOTHEM_M = 16.0
-
-RED_TILES = [(50, 70, 150), (60, 85, 170), (45, 60, 130), (70, 100, 180)]
-SLATE = [(95, 88, 80), (110, 100, 92), (80, 76, 72), (120, 116, 105)]
-COPPER = [(150, 165, 110), (140, 150, 95), (165, 178, 125), (120, 130, 90)]
 
 
 def town_square(seed: int) -> Renderer:
@@ -39,38 +36,6 @@ def town_square(seed: int) -> Renderer:
     return Renderer(builder.quads, textures.sky(rng, 256, 1536))
 
 
-def _facade(style: Style, px_per_m: float = WALL_PX_PER_M) -> Paint:
-    return lambda rng, width, height: facades.facade(rng, width, height, px_per_m, style)
-
-
-def _hoarding(px_per_m: float = WALL_PX_PER_M) -> Paint:
-    return lambda rng, width, height: facades.hoarding(rng, width, height, px_per_m)
-
-
-def _crate(rng: Rng, width: float, height: float) -> Texture:
-    return facades.crate(rng, width, height, WALL_PX_PER_M)
-
-
-def _cloth(px_per_m: float = WALL_PX_PER_M) -> Paint:
-    return lambda rng, width, height: facades.awning(rng, width, height, px_per_m)
-
-
-def _tiles(palette: Sequence[textures.Colour], px_per_m: float = WALL_PX_PER_M) -> Paint:
-    return lambda rng, width, height: textures.roof_tiles(
-        rng, round(height * px_per_m), round(width * px_per_m), palette, 0.22 * px_per_m
-    )
-
-
-def _bare(material: str) -> Paint:
-    def paint(rng: Rng, width: float, height: float) -> Texture:
-        size = max(round(height * WALL_PX_PER_M), 2), max(round(width * WALL_PX_PER_M), 2)
-        return facades.weathered(
-            rng, facades.wall_of(rng, *size, WALL_PX_PER_M, material), WALL_PX_PER_M
-        )
-
-    return paint
-
-
 def _rotunda(b: Builder) -> None:
     """An octagonal hall, a cornice, a narrower upper storey, and a copper roof with a lantern."""
     turn = 11.0
@@ -78,20 +43,20 @@ def _rotunda(b: Builder) -> None:
     materials = ("stone", "brick", "render", "stone", "brick", "render", "stone", "render")
     for k, material in enumerate(materials):
         style = Style(material, posters=0.6, graffiti=1, ivy=0.4, door=k % 2 == 0)
-        b.wall(hall[k], hall[(k + 1) % 8], (0.0, 3.2), _facade(style))
+        b.wall(hall[k], hall[(k + 1) % 8], (0.0, 3.2), dressed(style))
     b.shadows.append((hall, 3.2))
-    b.prism(cornice, (3.2, 3.4), _bare("stone"))
-    b.soffit(cornice, 3.2, 0.25, _bare("stone"))
-    b.spire(cornice, (3.4, 3.7), _tiles(RED_TILES), taper=0.25)
+    b.prism(cornice, (3.2, 3.4), bare("stone"))
+    b.soffit(cornice, 3.2, 0.25, bare("stone"))
+    b.spire(cornice, (3.4, 3.7), tiles(RED_TILES), taper=0.25)
     small = Style("stone", 1.15, (0.35, 0.7), posters=0.0, graffiti=0, ivy=0.2, door=False)
-    b.prism(regular(8, 1.95, turn_deg=turn), (3.4, 5.1), _facade(small))
+    b.prism(regular(8, 1.95, turn_deg=turn), (3.4, 5.1), dressed(small))
     eaves = regular(8, 2.15, turn_deg=turn)
-    b.prism(eaves, (5.1, 5.25), _bare("grey"))
-    b.soffit(eaves, 5.1, 0.25, _bare("wood"))
-    b.spire(eaves, (5.25, 6.5), _tiles(COPPER), taper=0.8)
+    b.prism(eaves, (5.1, 5.25), bare("grey"))
+    b.soffit(eaves, 5.1, 0.25, bare("wood"))
+    b.spire(eaves, (5.25, 6.5), tiles(COPPER), taper=0.8)
     tiny = Style("render", 0.9, (0.15, 0.5), posters=0.0, graffiti=0, ivy=0.0, door=False)
-    b.prism(regular(8, 0.4, turn_deg=turn), (6.2, 7.0), _facade(tiny))
-    b.spire(regular(8, 0.5, turn_deg=turn), (7.0, 8.0), _tiles(COPPER))
+    b.prism(regular(8, 0.4, turn_deg=turn), (6.2, 7.0), dressed(tiny))
+    b.spire(regular(8, 0.5, turn_deg=turn), (7.0, 8.0), tiles(COPPER))
 
 
 def _annexes(b: Builder) -> None:
@@ -104,50 +69,51 @@ def _annexes(b: Builder) -> None:
     ):
         outline = rectangle(polar(2.6, azimuth), size, turn)
         style = Style(material, 1.6, (0.4, 0.65), posters=0.8, ivy=0.5)
-        b.prism(outline, (0.0, height), _facade(style))
-        b.gable(outline, (height, height + 0.55 * size[0]), _tiles(roof), _bare(material))
+        b.prism(outline, (0.0, height), dressed(style))
+        b.gable(outline, (height, height + 0.55 * size[0]), tiles(roof), bare(material))
     for azimuth, height in ((165.0, 4.2),):
         place = polar(2.15, azimuth)
         style = Style("stone", 1.2, (0.2, 0.45), posters=0.4, ivy=0.4, door=False)
-        b.prism(regular(6, 0.5, place, azimuth), (0.0, height), _facade(style))
+        b.prism(regular(6, 0.5, place, azimuth), (0.0, height), dressed(style))
         roof = regular(6, 0.6, place, azimuth)
-        b.soffit(roof, height, 0.13, _bare("wood"))
-        b.spire(roof, (height, height + 1.0), _tiles(SLATE))
+        b.soffit(roof, height, 0.13, bare("wood"))
+        b.spire(roof, (height, height + 1.0), tiles(SLATE))
 
 
 def _square(b: Builder) -> None:
     """Advertising columns, stalls and crates around the rotunda, low enough to see over."""
     for azimuth in (358.0, 140.0, 246.0):
         place = polar(3.5, azimuth)
-        b.prism(regular(8, 0.32, place), (0.0, 1.5), _hoarding())
-        b.soffit(regular(8, 0.4, place), 1.5, 0.11, _bare("wood"))
-        b.spire(regular(8, 0.4, place), (1.5, 1.9), _tiles(COPPER))
+        b.prism(regular(8, 0.32, place), (0.0, 1.5), pasted())
+        b.soffit(regular(8, 0.4, place), 1.5, 0.11, bare("wood"))
+        b.spire(regular(8, 0.4, place), (1.5, 1.9), tiles(COPPER))
     for azimuth, turn in ((80.0, 95.0), (192.0, 180.0), (312.0, 335.0)):
         place = polar(4.4, azimuth)
-        b.prism(rectangle(place, (0.5, 1.0), turn), (0.0, 0.65), _crate, top=_bare("wood"))
-        b.prism(rectangle(place, (0.14, 0.7), turn), (0.65, 1.2), _hoarding())
-        b.gable(rectangle(place, (0.8, 1.15), turn), (1.15, 1.45), _cloth(), _cloth())
+        b.prism(rectangle(place, (0.5, 1.0), turn), (0.0, 0.65), crate(), top=bare("wood"))
+        b.prism(rectangle(place, (0.14, 0.7), turn), (0.65, 1.2), pasted())
+        b.gable(rectangle(place, (0.8, 1.15), turn), (1.15, 1.45), cloth(), cloth())
+    boards = crate()
     for _ in range(24):
         size = b.rng.uniform(0.2, 0.45, 3)
         place = polar(b.rng.uniform(3.4, 5.0), b.rng.uniform(0, 360))
         outline = rectangle(place, (size[0], size[1]), b.rng.uniform(0, 90))
-        b.prism(outline, (0.0, size[2]), _crate, top=_crate)
+        b.prism(outline, (0.0, size[2]), boards, top=boards)
 
 
 def _kiosks(b: Builder) -> None:
     """Kiosks behind the ring."""
     paints = (
-        _hoarding(RIM_PX_PER_M),
-        _facade(Style("render", floor_m=1.9, posters=0.6), RIM_PX_PER_M),
-        _facade(Style("wood", floor_m=1.9), RIM_PX_PER_M),
+        pasted(RIM_PX_PER_M),
+        dressed(Style("render", floor_m=1.9, posters=0.6), RIM_PX_PER_M),
+        dressed(Style("wood", floor_m=1.9), RIM_PX_PER_M),
     )
-    cloth = _cloth(RIM_PX_PER_M)
+    stripes = cloth(RIM_PX_PER_M)
     for azimuth in np.arange(0, 360, 30.0) + b.rng.uniform(-9, 9, 12):
         place = polar(b.rng.uniform(12.8, 14.0), azimuth)
         size = b.rng.uniform((1.0, 1.2, 1.9), (1.8, 2.2, 2.8))
         outline = rectangle(place, (size[0], size[1]), azimuth + b.rng.uniform(-30, 30))
         b.prism(outline, (0.0, size[2]), paints[int(b.rng.integers(3))])
-        b.gable(outline, (size[2], size[2] + 0.5), cloth, cloth)
+        b.gable(outline, (size[2], size[2] + 0.5), stripes, stripes)
 
 
 def _rim(b: Builder) -> None:
@@ -163,9 +129,9 @@ def _rim(b: Builder) -> None:
             material = materials[int(b.rng.integers(len(materials)))]
             height = float(b.rng.uniform(4.2, 7.2))
             style = Style(material, 1.9, (0.75, 1.1), posters=0.4)
-            b.wall(left, right, (0.0, height), _facade(style, RIM_PX_PER_M))
-            tiles = _tiles((RED_TILES, SLATE)[int(b.rng.integers(2))], RIM_PX_PER_M)
-            b.wall(left, right, (height, height + 1.6), tiles, lean=1.5)
+            b.wall(left, right, (0.0, height), dressed(style, RIM_PX_PER_M))
+            roof = tiles((RED_TILES, SLATE)[int(b.rng.integers(2))], RIM_PX_PER_M)
+            b.wall(left, right, (height, height + 1.6), roof, lean=1.5)
 
 
 def _ground(b: Builder) -> None:

@@ -9,7 +9,8 @@ import pytest
 
 from evaluation.world.facades import poster
 from evaluation.world.render import Quad, Renderer
-from evaluation.world.ring import HEIGHT, WIDTH, RingWorld
+from evaluation.world.ring import RingWorld
+from evaluation.world.robots import HEIGHT, WIDTH
 from pose_server import alarms
 from pose_server.correspondences.book import Book
 from pose_server.correspondences.records import BookState

@@ -15,7 +15,7 @@ from evaluation.datasets import (
 from evaluation.geometry import transform
 from evaluation.interaction.ring_layout import rings_of
 from evaluation.strip import noise_model, strip
-from evaluation.synth import run
+from evaluation.synth import SynthOptions, run
 from protocol.errors import FleetPoseError
 from tests.evaluation.test_strip import assert_no_truth
 
@@ -23,7 +23,7 @@ from tests.evaluation.test_strip import assert_no_truth
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("synth") / "ring"
-    run(out, robots=8, workers=1)
+    run(out, SynthOptions(robots=8), workers=1)
     return out
 
 
@@ -72,4 +72,4 @@ def test_every_kind_of_cloud_can_be_stripped_and_no_truth_is_left(folder, tmp_pa
 
 def test_a_folder_with_views_is_not_overwritten(folder):
     with pytest.raises(FleetPoseError, match="new folder"):
-        run(folder, robots=8)
+        run(folder, SynthOptions(robots=8))

@@ -7,7 +7,8 @@ import threading
 import numpy as np
 import pytest
 
-from evaluation.world.ring import HEIGHT, WIDTH, RingWorld
+from evaluation.world.ring import RingWorld
+from evaluation.world.robots import HEIGHT, WIDTH
 from evaluation.world_server import WorldServer, write_truth
 from protocol.errors import UnreachableError
 from robot_agent.cameras.base import DisparityImage
