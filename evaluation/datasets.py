@@ -24,6 +24,7 @@ CLOUD_KINDS: tuple[CloudKind, ...] = (
     "stereo_dense",
 )
 DEPTH_UNIT_M = 0.001
+_LEAST_POINTS = 10
 _NO_DEPTH = 65535  # written by some Kinect recordings beside 0
 
 
@@ -208,7 +209,7 @@ def _posed_view(
         index=index,
         name=entry["name"],
         image=directory / "images" / entry["name"],
-        cloud=cloud if cloud.exists() else None,
+        cloud=cloud if _has_points(cloud) else None,
         width=int(entry["width"]),
         height=int(entry["height"]),
         K=np.asarray(entry["K"], np.float64).reshape(3, 3),
@@ -217,6 +218,14 @@ def _posed_view(
         baseline_m=pair.get("baseline_m"),
         ring_angle_deg=None if ring_angle is None else float(ring_angle),
     )
+
+
+def _has_points(cloud: Path) -> bool:
+    """Whether there is a cloud that a robot could send: where it sees nothing it has none."""
+    if not cloud.exists():
+        return False
+    with np.load(cloud) as arrays:
+        return len(arrays["uv"]) >= _LEAST_POINTS
 
 
 def _open_rgbd(directory: Path) -> Recording:

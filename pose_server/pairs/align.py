@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.pairs.byproducts import with_byproducts, with_suggestions
-from pose_server.pairs.judging import PairResult, judged
+from pose_server.pairs.judging import PairResult, contested, judged
 from pose_server.pairs.pair import RATIO, WIDE_RATIO, Pair
 from pose_server.pairs.refining import (
     Candidate,
@@ -66,7 +66,7 @@ def align_pair(
         result = PairResult(None, None, "rejected", (_why_no_start(pair, starts),))
         return with_byproducts(pair, result)
     refined = time.perf_counter()
-    result = _finished(pair, candidates, result)
+    result = contested(pair, _finished(pair, candidates, result))
     timings = {
         "match": 1e3 * (matched - began),
         "refine_and_judge": 1e3 * (refined - matched),
@@ -96,7 +96,7 @@ def align_wide(
     if result.verdict == "rejected" and i.dense and j.dense:
         candidates += from_surfaces(pair)
         result = _judge_best(pair, candidates) if candidates else usual
-    result = _finished(pair, candidates, result)
+    result = contested(pair, _finished(pair, candidates, result))
     timings = {**usual.timings_ms, "wide": 1e3 * (time.perf_counter() - began)}
     result = replace(result, timings_ms=timings, depths=usual.depths, moving=usual.moving)
     return with_suggestions(pair, result)
@@ -120,7 +120,7 @@ def align_from(
         candidates.append(Candidate(pair, known.start, known.T_i_j))
     if not candidates or best_of(candidates).T_i_j is known.T_i_j:
         return known
-    result = _finished(pair, candidates, _judge_best(pair, candidates))
+    result = contested(pair, _finished(pair, candidates, _judge_best(pair, candidates)))
     if _TRUST[result.verdict] < _TRUST[known.verdict]:
         return known
     timings = {"from_starts": 1e3 * (time.perf_counter() - began)}

@@ -34,7 +34,7 @@ class Evidence:
         depth_sigma: relative sigma of the distance of two matching points along the ray, stated.
         mean_agree: share of the compared points that agree, the mean of both directions.
         overlap: share of the points that lie on the other view's, the mean of both directions.
-        lead: by how many sigmas it finds more again than the best pose that the views' own aliases
+        lead: by how many sigmas it finds more again than the best pose that the place's repetitions
             offer; `NO_RIVAL` where they offer none.
         explained: what should be seen from there and is found again.
     """

@@ -16,10 +16,10 @@ from pose_server.geometry.se3 import inverse, position_covariance, rotation_angl
 from pose_server.pairs.evidence import NO_RIVAL, Evidence
 from pose_server.pairs.explained import explained
 from pose_server.pairs.pair import Pair
-from pose_server.pairs.rivals import EXACT_SIGMAS, Rival, rivals_of
-from pose_server.pairs.trust import p_grave, with_rivals
+from pose_server.pairs.rivals import EXACT_SIGMAS, exact_matches, rivals_of
+from pose_server.pairs.trust import RIVAL_P_GRAVE, p_grave, with_rivals
 from pose_server.pairs.trust_model import MODEL
-from pose_server.pairs.verdict import Verdict, against, judge, stands
+from pose_server.pairs.verdict import Verdict, judge, left_over_stands, stands
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -97,8 +97,8 @@ def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None
         return PairResult(T, None, "rejected", (reason,), overlap=seen.overlap, start=start)
     evidence = _evidence(pair, T, matches, final, again, covariance, places, seen)
     chance = p_grave(evidence, MODEL)
-    rivals = _aliases(pair, rest) if not against(evidence, chance) else []
-    evidence = replace(evidence, lead=min([NO_RIVAL, *(rival.lead for rival in rivals)]))
+    if left_over_stands(evidence):
+        chance = max(chance, evidence.rival / (evidence.rival + evidence.rivalled))
     verdict, reasons = judge(evidence, chance)
     error_m2, count = regression_error(pair, T)
     return PairResult(
@@ -113,16 +113,36 @@ def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None
         regression_count=count,
         start=start,
         evidence=evidence,
-        p_grave=with_rivals(chance, evidence.lead),
-        rivals=tuple(rival.T_i_j for rival in rivals if stands(rival.lead)),
+        p_grave=chance,
     )
 
 
-def _aliases(pair: Pair, T: Floats) -> list[Rival]:
-    """Rivals that the views' own aliases offer to a pose. A robot follows itself in small steps: no
-    alias is as near.
+def contested(pair: Pair, result: PairResult) -> PairResult:
+    """A result beside the rivals that the place's repetitions offer. A robot follows itself in
+    small steps: there none is as near.
     """
-    return [] if pair.i.name.robot == pair.j.name.robot else rivals_of(pair, T)
+    e, T = result.evidence, result.T_i_j
+    own = pair.i.name.robot == pair.j.name.robot
+    if own or e is None or T is None or result.verdict not in ("verified", "plausible"):
+        return result
+    matches = np.unique(np.concatenate((pair.guided(T, 0.008), pair.ratio)), axis=0)
+    rivals = [
+        rival
+        for rival in rivals_of(pair, T, exact_matches(pair, T, matches))
+        if judged(pair, rival.T_i_j, result.start).p_grave < RIVAL_P_GRAVE
+    ]
+    if not rivals:
+        return result
+    e = replace(e, lead=min(rival.lead for rival in rivals))
+    verdict, reasons = judge(e, result.p_grave)
+    return replace(
+        result,
+        evidence=e,
+        verdict=verdict,
+        reasons=reasons,
+        p_grave=with_rivals(result.p_grave, [rival.lead for rival in rivals]),
+        rivals=tuple(rival.T_i_j for rival in rivals if stands(rival.lead)),
+    )
 
 
 def _evidence(

@@ -1,17 +1,17 @@
-"""Where a place repeats itself: a view aligned with itself shows its own aliases, and each is a
-rival of every pose of that view.
+"""Where a place repeats itself, other poses explain as much: they are rivals.
 
 In a corridor of equal doors everything is explained a door further on as well, and descriptors that
 repeat never become matches, so that no rival is found among what a pose leaves over. It is looked
-for where it must be: if a view looks the same after a motion A (a period, a turn by a symmetry),
-then T A, or A T, puts as much in place as T does. What breaks the tie are the points that only one
-of both finds again.
+for where it must be: what looks like a point that the pose finds again, at another place of the
+other view, is where a rival would put that point. What breaks the tie are the points that only one
+of both poses finds again.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.matching import NO_MATCHES
@@ -19,7 +19,7 @@ from pose_server.geometry.refine import NoiseScale
 from pose_server.geometry.se3 import inverse
 from pose_server.geometry.triangles import MOST_MATCHES, poses_by_triangles
 from pose_server.pairs.explained import count_places, visible_in
-from pose_server.pairs.pair import RATIO, Pair
+from pose_server.pairs.pair import Pair
 from pose_server.pairs.views import PreparedView
 
 Floats = npt.NDArray[np.floating]
@@ -27,78 +27,89 @@ Indices = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
 
 _ELSEWHERE_PX = 12.0  # nearer points are the same corner, seen twice
-_LIKE = 0.8  # cosine of what looks alike: below it, matches of a view with itself are chance
-_CONSIDERED = 1000  # salient points, the strongest first
-_NEIGHBOURS = 2  # alike places of each point: a period has one on either side
-_LEAST_PLACES, _LEAST_SHARE = 12, 0.15  # that a motion must explain of its own view
-_MOST_ALIASES = 6
+_ALIKE_PLACES = 3  # of each point, at most: a period has one on either side
+_AS_ALIKE = 1.5  # squared distance of descriptors, over that of the pose's own match,
+_EXACTLY_ALIKE = 0.04  # which is at least this: twins in a rendered or very sharp image
+_LEAST_ALIKE = 8  # points with a twin elsewhere: fewer are chance
 _RADIUS = 0.012  # share of the depth: an alias is known as well as a pose by triangles
-_WORTH = 0.3  # of the winner's places: with fewer a rival is not looked at
+_LEAST_PLACES = 12  # that a rival finds again
 EXACT_SIGMAS = 2.5  # across the epipolar line: a wider one is found by chance around any place
 _NOISE = NoiseScale(1.0, 1.5)
-_COMMON = 12  # places that both poses expect: with fewer only what each explains is compared
+_COMMON = 12  # places that one pose finds and the other expects: fewer tell nothing
+_PARTS = 8  # across a view's width
+_NO_CHANCE = 3.0  # places expected to be found in a part: none is found by chance in one of twenty
+_MOST_RIVALS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """Another pose of a pair, and how it stands to the winner.
+    """Another pose of a pair, and where both contradict each other.
 
     Attributes:
         T_i_j: (4, 4).
-        own: places that only it finds again, of those that both poses expect.
-        lost: places that only the winner finds again, of the same.
-        share: what it explains, over what the winner explains; both of what each expects.
+        places: that it finds again.
+        own: places in parts of a view where it finds much of what should be seen, and the winner
+            nothing.
+        lost: places where it is the other way round.
     """
 
     T_i_j: Floats
+    places: int
     own: int
     lost: int
-    share: float
 
     @property
     def lead(self) -> float:
-        """By how many sigmas the winner finds more (McNemar's test); negative where it finds
-        less.
-        """
+        """By how many sigmas the winner finds more; negative where it finds less (a sign test)."""
         return (self.lost - self.own) / float(np.sqrt(max(self.lost + self.own, 1)))
 
 
-def aliases_of(view: PreparedView) -> tuple[Floats, ...]:
-    """Motions (4, 4), not identity, after which a view looks like itself; the best known first.
-    Worked out once a view.
+def rivals_of(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
+    """How the poses that the place's repetitions offer stand to a pose.
+
+    Args:
+        pair: the views.
+        T: T_i_j.
+        exact: (M, 2) matches that agree with it to the pixel.
     """
-    if not view.aliases:
-        view.aliases.append(_aliases(view))
-    return view.aliases[0]
-
-
-def _aliases(view: PreparedView) -> tuple[Floats, ...]:
-    itself = Pair(view, view, RATIO)
-    matches = _alike(view)
-    found: list[tuple[float, Floats]] = []
-    for A, agrees in poses_by_triangles(view.observed, view.observed, matches, itself.depth_m):
-        if itself.same_pose(A, np.eye(4)) or len(agrees) < 6:
-            continue
-        share, places = _explained_by(itself, A)
-        if share >= _LEAST_SHARE and places >= _LEAST_PLACES:
-            found.append((share, A))
-    found.sort(key=lambda one: -one[0])
-    return tuple(A for _, A in found[:_MOST_ALIASES])
-
-
-def rivals_of(pair: Pair, T: Floats) -> list[Rival]:
-    """How the poses that the views' own aliases offer stand to a pose."""
-    poses = [A @ T for A in aliases_of(pair.i)] + [T @ A for A in aliases_of(pair.j)]
-    if not poses:
+    elsewhere = np.concatenate((_elsewhere(pair.i, pair.j, exact), _elsewhere_in_j(pair, exact)))
+    if len(elsewhere) < _LEAST_ALIKE:
         return []
     winner = _Claim.of(pair, T)
     rivals: list[Rival] = []
-    for pose in poses:
-        if not pair.gravely_apart(pose, T) or any(pair.same_pose(pose, r.T_i_j) for r in rivals):
-            continue
-        if (rival := _rival(pair, winner, pose)) is not None:
+    for pose, _ in poses_by_triangles(
+        pair.i.observed, pair.j.observed, elsewhere[:MOST_MATCHES], pair.depth_m
+    ):
+        rival = _rival(pair, winner, pose)
+        if rival is not None and not any(pair.same_pose(rival.T_i_j, r.T_i_j) for r in rivals):
             rivals.append(rival)
-    return rivals
+    return sorted(rivals, key=lambda one: -one.places)[:_MOST_RIVALS]
+
+
+def _elsewhere(i: PreparedView, j: PreparedView, matches: Indices) -> Indices:
+    """Matches (M', 2) of j's points with what looks as much like them at other places of i than
+    where `matches` (M, 2) put them; the most alike first.
+    """
+    lifted = i.observed.lifted
+    matches = matches[np.isfinite(j.observed.inverse_depth[matches[:, 1]])]
+    if len(lifted) <= _ALIKE_PLACES or len(matches) == 0:
+        return NO_MATCHES
+    cosines = j.descriptors[matches[:, 1]] @ i.descriptors[lifted].T
+    own = np.einsum("md,md->m", j.descriptors[matches[:, 1]], i.descriptors[matches[:, 0]])
+    uv = i.observed.uv
+    near = cKDTree(uv[lifted]).query_ball_point(uv[matches[:, 0]], _ELSEWHERE_PX)
+    for row, columns in enumerate(near):
+        cosines[row, columns] = -1.0
+    best = np.argpartition(-cosines, _ALIKE_PLACES - 1, axis=1)[:, :_ALIKE_PLACES]
+    distance = 1 - np.take_along_axis(cosines, best, axis=1)
+    rows, columns = np.nonzero(distance < _AS_ALIKE * np.maximum(1 - own, _EXACTLY_ALIKE)[:, None])
+    order = np.argsort(distance[rows, columns], kind="stable")
+    rows, columns = rows[order], columns[order]
+    return np.column_stack((lifted[best[rows, columns]], matches[rows, 1]))
+
+
+def _elsewhere_in_j(pair: Pair, matches: Indices) -> Indices:
+    return _elsewhere(pair.j, pair.i, matches[:, ::-1])[:, ::-1]
 
 
 def _rival(pair: Pair, winner: "_Claim", pose: Floats) -> Rival | None:
@@ -112,10 +123,33 @@ def _rival(pair: Pair, winner: "_Claim", pose: Floats) -> Rival | None:
     if not pair.gravely_apart(pose, winner.T_i_j):
         return None
     claim = _Claim.of(pair, pose)
-    if claim.places < _WORTH * winner.places:
+    if claim.places < _LEAST_PLACES:
         return None
-    own, lost = claim.beside(winner)
-    return Rival(pose, own, lost, claim.share / max(winner.share, 1e-6))
+    return Rival(pose, claim.places, _holes(winner, claim), _holes(claim, winner))
+
+
+def _holes(of: "_Claim", beside: "_Claim") -> int:
+    """Places that another pose finds in parts of a view where a pose finds nothing of what it
+    expects, though elsewhere it finds enough for that to be no chance.
+
+    A right pose seen at a wide angle finds less than an alias seen at a narrow one, but everywhere;
+    an alias finds nothing of what stands about only once.
+    """
+    return max(_holes_in(of, beside, column) for column in (0, 1))
+
+
+def _holes_in(of: "_Claim", beside: "_Claim", column: int) -> int:
+    view = (of.pair.i, of.pair.j)[column].observed
+    known = of.expected[column] & beside.found[column]
+    if known.sum() < _COMMON:
+        return 0
+    cells = np.floor(view.uv[known] / (view.size[0] / _PARTS)).astype(np.int64)
+    part = cells[:, 1] * _PARTS + cells[:, 0]
+    again = of.found[column][known]
+    places = np.bincount(part)
+    found = np.bincount(part, weights=again)
+    rate = again.mean()
+    return int(places[(found == 0) & (rate * places >= _NO_CHANCE)].sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,24 +186,6 @@ class _Claim:
         places = min(count_places(v.uv[mask]) for v, mask in zip(views, found, strict=True))
         return cls(T, pair, expected, (found[0], found[1]), places, places / max(seen, 1))
 
-    def beside(self, other: "_Claim") -> tuple[int, int]:
-        """Of the places that both poses expect in the view where more of them are: how many only
-        this one finds, and how many only the other.
-        """
-        counts = []
-        for column, view in ((0, self.pair.i.observed), (1, self.pair.j.observed)):
-            both = self.expected[column] & other.expected[column]
-            mine, theirs = self.found[column], other.found[column]
-            counts.append(
-                (
-                    count_places(view.uv[both]),
-                    count_places(view.uv[both & mine & ~theirs]),
-                    count_places(view.uv[both & theirs & ~mine]),
-                )
-            )
-        common, own, lost = max(counts)
-        return (own, lost) if common >= _COMMON else (self.places, other.places)
-
 
 def exact_matches(pair: Pair, T: Floats, matches: Indices) -> Indices:
     """The matches (M, 2) that agree with a pose at the cameras' own noise, to the pixel across the
@@ -183,25 +199,3 @@ def exact_matches(pair: Pair, T: Floats, matches: Indices) -> Indices:
         return NO_MATCHES
     sigma_px = np.hypot(pair.i.observed.pixel_sigma_px, pair.j.observed.pixel_sigma_px)
     return matches[scored.inliers & (np.abs(scored.across_px) < EXACT_SIGMAS * sigma_px)]
-
-
-def _explained_by(itself: Pair, A: Floats) -> tuple[float, int]:
-    claim = _Claim.of(itself, A)
-    return claim.share, claim.places
-
-
-def _alike(view: PreparedView) -> Indices:
-    """Matches (M, 2) of a view's lifted points with the most alike ones elsewhere in it."""
-    lifted = view.observed.lifted[:_CONSIDERED]
-    descriptors, uv = view.descriptors[lifted], view.observed.uv[lifted]
-    cosines = descriptors @ descriptors.T
-    near = np.square(uv[:, None] - uv[None]).sum(axis=2) < _ELSEWHERE_PX**2
-    cosines[near] = -1.0
-    count = min(_NEIGHBOURS, len(lifted) - 1)
-    best = np.argpartition(-cosines, count - 1, axis=1)[:, :count]
-    rows = np.repeat(np.arange(len(lifted)), count)
-    found = np.column_stack((rows, best.ravel()))
-    like = cosines[found[:, 0], found[:, 1]]
-    order = np.argsort(-like, kind="stable")
-    order = order[like[order] > _LIKE][:MOST_MATCHES]
-    return lifted[found[order]]

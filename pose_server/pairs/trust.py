@@ -5,6 +5,7 @@ then all are added up (a logistic regression with the sign of each weight given)
 by `pose-eval trust`, which prints them and judges them on places they were not fitted on.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ Floats = npt.NDArray[np.floating]
 
 _NOTHING = 0.003  # share of places that is as good as none: its logarithm stays finite
 _MOST_THROUGH, _MOST_OFF = 0.6, 0.5
+RIVAL_P_GRAVE = 0.5  # a rival that is rather wrong on its own evidence is none
 _LEAST, _MOST = 1e-4, 1 - 1e-4  # no evidence of one pair says more: so many pairs were fitted on
 
 
@@ -117,9 +119,13 @@ def p_grave(e: Evidence, model: TrustModel) -> float:
     return float(np.clip(1 / (1 + np.exp(-np.clip(log_odds, -30, 30))), _LEAST, _MOST))
 
 
-def with_rivals(chance: float, lead: float) -> float:
-    """The probability where an alias of the place is a rival, and the pose leads by so many sigmas:
-    one of both is right, and with no lead either may be.
+def with_rivals(chance: float, leads: Sequence[float]) -> float:
+    """The probability (0..1) of a grave error where other poses look right as well and one of all
+    is: with no lead each may be.
+
+    Args:
+        chance: that the winner is gravely off, on its own evidence.
+        leads: by how many sigmas the winner leads each rival where both contradict each other.
     """
-    share = 1 / (1 + np.exp(np.clip(lead, -30, 30)))
-    return float(np.clip(chance + (1 - chance) * share, _LEAST, _MOST))
+    others = sum(np.exp(-max(lead, 0.0)) for lead in leads)
+    return float(np.clip(1 - (1 - chance) / (1 + others), _LEAST, _MOST))

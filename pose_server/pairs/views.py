@@ -71,8 +71,6 @@ class PreparedView:
         measured: its cloud as points.
         noise: the camera's stated noise.
         median_depth_m: of the cloud.
-        aliases: once they were looked for, the motions after which the view looks like itself;
-            shared by copies with other salient points.
     """
 
     name: ViewName
@@ -82,7 +80,6 @@ class PreparedView:
     measured: MeasuredCloud
     noise: PointNoise
     median_depth_m: float
-    aliases: list[tuple[Floats, ...]] = field(default_factory=list)
 
     def strongest(self, count: int) -> "PreparedView":
         """The same view with its strongest salient points only: enough where two views are nearly

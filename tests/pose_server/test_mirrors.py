@@ -17,7 +17,6 @@ def flipped(view: PreparedView) -> PreparedView:
         view,
         observed=mirrored(view.observed),
         descriptors=mirrored_descriptors(view.descriptors),
-        aliases=[],
     )
 
 
