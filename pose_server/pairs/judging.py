@@ -17,9 +17,9 @@ from pose_server.pairs.evidence import NO_RIVAL, Evidence
 from pose_server.pairs.explained import explained
 from pose_server.pairs.pair import Pair
 from pose_server.pairs.rivals import EXACT_SIGMAS, exact_matches, rivals_of
-from pose_server.pairs.trust import RIVAL_P_GRAVE, p_grave, with_rivals
+from pose_server.pairs.trust import RIVAL_P_GRAVE, p_grave, stands, with_rivals
 from pose_server.pairs.trust_model import MODEL
-from pose_server.pairs.verdict import Verdict, judge, left_over_stands, stands
+from pose_server.pairs.verdict import Verdict, judge, left_over_stands
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -129,7 +129,7 @@ def contested(pair: Pair, result: PairResult) -> PairResult:
     rivals = [
         rival
         for rival in rivals_of(pair, T, exact_matches(pair, T, matches))
-        if judged(pair, rival.T_i_j, result.start).p_grave < RIVAL_P_GRAVE
+        if _own_chance(pair, rival.T_i_j) < RIVAL_P_GRAVE
     ]
     if not rivals:
         return result
@@ -143,6 +143,12 @@ def contested(pair: Pair, result: PairResult) -> PairResult:
         p_grave=with_rivals(result.p_grave, [rival.lead for rival in rivals]),
         rivals=tuple(rival.T_i_j for rival in rivals if stands(rival.lead)),
     )
+
+
+def _own_chance(pair: Pair, T: Floats) -> float:
+    """How likely a pose is gravely off by its own evidence, whatever else is possible."""
+    evidence = judged(pair, T, "rival").evidence
+    return 1.0 if evidence is None else p_grave(evidence, MODEL)
 
 
 def _evidence(

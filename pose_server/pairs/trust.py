@@ -17,6 +17,12 @@ Floats = npt.NDArray[np.floating]
 
 _NOTHING = 0.003  # share of places that is as good as none: its logarithm stays finite
 _MOST_THROUGH, _MOST_OFF = 0.6, 0.5
+# How likely a pose may be gravely off that is called verified, and from where on it is refused. Of
+# the poses called verified far fewer are: most are far below the limit.
+VERIFIED_P_GRAVE, REJECTED_P_GRAVE = 0.03, 0.9
+# By so many sigmas wrong poses of repeating facades and corridors led the right ones, by parts that
+# the latter see at a grazing angle.
+_CLEAR_LEAD = 5.0
 RIVAL_P_GRAVE = 0.5  # a rival that is rather wrong on its own evidence is none
 _LEAST, _MOST = 1e-4, 1 - 1e-4  # no evidence of one pair says more: so many pairs were fitted on
 
@@ -121,11 +127,16 @@ def p_grave(e: Evidence, model: TrustModel) -> float:
 
 def with_rivals(chance: float, leads: Sequence[float]) -> float:
     """The probability (0..1) of a grave error where other poses look right as well and one of all
-    is: with no lead each may be.
+    is: where none leads clearly each may be.
 
     Args:
         chance: that the winner is gravely off, on its own evidence.
         leads: by how many sigmas the winner leads each rival where both contradict each other.
     """
-    others = sum(np.exp(-max(lead, 0.0)) for lead in leads)
+    others = sum(np.exp(-max(lead - _CLEAR_LEAD, 0.0)) for lead in leads)
     return float(np.clip(1 - (1 - chance) / (1 + others), _LEAST, _MOST))
+
+
+def stands(lead: float) -> bool:
+    """Whether a rival is likelier than a verified pose's chance to be wrong allows."""
+    return lead < _CLEAR_LEAD - float(np.log(VERIFIED_P_GRAVE))

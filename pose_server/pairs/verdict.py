@@ -5,21 +5,16 @@ what determines the pose; each test has its reason. A false `verified` is the wo
 from typing import Literal
 
 from pose_server.pairs.evidence import Evidence
+from pose_server.pairs.trust import REJECTED_P_GRAVE, VERIFIED_P_GRAVE, stands
 
 Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
 
-# How likely a pose may be gravely off that is called verified, and from where on it is refused. Of
-# the poses called verified far fewer are: most are far below the limit.
-VERIFIED_P_GRAVE, REJECTED_P_GRAVE = 0.03, 0.9
 # What is verified is not gravely wrong: three sigma of its weakest direction, what a refit on all
 # matches moves it, and what surfaces have moved it, lie within 5 % of the median depth together;
 # three sigma of its rotation lie within 5 deg
 _VERIFIED_POSITION = 0.05
 _VERIFIED_ROTATION_RAD = 0.087
 _LEAST_FRONT, _TOLD_SIDES = 0.4, 20  # of the surfaces, from their front; of so many that tell
-# In a corridor of equal doors right poses lost up to 5 sigmas to narrower aliases, by parts that
-# are seen at a grazing angle; one poster brings 7 and more.
-_LEAD_SIGMAS = 6.0
 _ALIAS = "the place repeats itself: another pose finds as much again"
 
 
@@ -40,11 +35,6 @@ def judge(e: Evidence, p_grave: float) -> tuple[Verdict, tuple[str, ...]]:
 def left_over_stands(e: Evidence) -> bool:
     """Whether the best pose of the matches left over may as well be the right one."""
     return e.rival > 0.6 * e.rivalled and e.rival >= 5
-
-
-def stands(lead: float) -> bool:
-    """Whether a rival pose may as well be the right one: the winner leads by so few sigmas."""
-    return lead < _LEAD_SIGMAS
 
 
 def needed_matches(ratio_matches: int) -> int:
