@@ -25,6 +25,7 @@ Moment = Annotated[int, Field(ge=-(2**63), lt=2**63)]
 """UTC nanoseconds, of a stamp and a duration together."""
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Probability = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Text = Annotated[str, BeforeValidator(_printable), Field(max_length=2000)]
 """One line that a terminal can show; longer texts are cut, not refused."""
 Many = Annotated[tuple[T, ...], Field(max_length=100_000), FailFast()]

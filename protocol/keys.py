@@ -73,6 +73,10 @@ class Keys:
         return f"{self.root}/server/relative"
 
     @property
+    def why(self) -> str:
+        return f"{self.root}/server/why"
+
+    @property
     def server_view(self) -> str:
         return f"{self.root}/server/view"
 
