@@ -128,9 +128,9 @@ def fleet(count: int = 6, n: int = 1, seq: int = 7, **changes) -> FleetState:
     return FleetState(**(fields | changes))
 
 
-def status(n: int = 1) -> ServerStatus:
+def status(n: int = 1, epoch: str = EPOCH) -> ServerStatus:
     return ServerStatus(
-        server_epoch=EPOCH,
+        server_epoch=epoch,
         uptime_s=0.2 * n,
         views=10 * n,
         alignments=n,
