@@ -92,8 +92,8 @@ def cells_of(names: list[str]) -> tuple[PairCell, ...]:
                     i=i, j=j, state="tried", verdict="verified", rmse_m=0.01 * b, overlap=0.5
                 )
             elif gap == 2:
-                verdict = "plausible" if a % 2 else "rejected"
-                cell = PairCell(i=i, j=j, state="tried", verdict=verdict, rmse_m=0.05 + 0.01 * b)
+                verdict, rmse_m = ("plausible", 0.05 + 0.01 * b) if a % 2 else ("rejected", None)
+                cell = PairCell(i=i, j=j, state="tried", verdict=verdict, rmse_m=rmse_m)
             elif gap == 3:
                 cell = PairCell(i=i, j=j, state="through_others")
             else:
