@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 
-from hmi_client.matrix import are_joined, components_of, length_text
+from hmi_client.matrix import are_joined, components_of, doubt_text, length_text
 from hmi_client.proposals import Proposals
 from hmi_client.session import OperatorSession
 from protocol.messages import Answer
@@ -113,10 +113,9 @@ def describe_cell(session: OperatorSession) -> str:
         return "never tried"
     if cell.state == "through_others":
         return "known only through others"
-    words = [cell.verdict or "tried"]
+    words = [doubt_text(cell.verdict, cell.p_grave, cell.rivals)]
     if cell.rmse_m is not None:
-        words.append(length_text(cell.rmse_m))
-    words.append(f"overlap {100 * cell.overlap:.0f} %")
+        words += [length_text(cell.rmse_m), f"overlap {100 * cell.overlap:.0f} %"]
     if session.alignment is not None:
         words.append(f"{session.alignment.inliers} inliers from {session.alignment.start}")
         words.extend(session.alignment.reasons[:1])

@@ -18,6 +18,7 @@ from protocol.drops import Drops
 from protocol.errors import FleetPoseError, UnreachableError
 from protocol.keys import Keys
 from protocol.messages import ViewName
+from protocol.presence import LiveServer
 from protocol.transport import Link, Sample, Slots
 
 log = logging.getLogger(__name__)
@@ -47,6 +48,7 @@ class Client:
         self._open_link = open_link
         self._each_pose = each_pose
         self._link: Link | None = None
+        self._server: LiveServer | None = None
         self._intake = Intake(session, keys)
         self._inbox: Slots[Arrived] = Slots()
         self._stop = threading.Event()
@@ -122,7 +124,7 @@ class Client:
             return
 
     def _connect(self, link: Link) -> None:
-        self._link = link
+        self._link, self._server = link, LiveServer(link, self.keys)
         operator = self.session.operator
         for key in (
             self.keys.state,
@@ -145,9 +147,16 @@ class Client:
 
     def _arrived(self, sample: Sample) -> None:
         """Opens what came, in the subscriber's thread: so nothing damaged takes the place of
-        something good that waits to be read.
+        something good that waits to be read. Nor does what another process says for the server.
         """
-        self._survive(sample.key, lambda: self._inbox.store(self._intake.open(sample)))
+        self._survive(sample.key, lambda: self._inbox.store(self._opened(sample)))
+
+    def _opened(self, sample: Sample) -> Arrived:
+        arrived = self._intake.open(sample)
+        epoch = getattr(arrived.content, "server_epoch", None)
+        if epoch is not None and self._server is not None:
+            self._server.check(epoch, f"a {type(arrived.content).__name__}")
+        return arrived
 
     def _read(self) -> None:
         while not self._stop.is_set():

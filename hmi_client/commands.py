@@ -19,7 +19,6 @@ from hmi_client.options import Fps, KeysFile, LogFile, Theme, Threshold
 ALIGNMENTS_S = 1.0  # they are latched: what has not come by then was never told
 
 app = typer.Typer(
-    help="The operator's client of a fleet: see where every robot is, and help where asked.",
     no_args_is_help=False,
     pretty_exceptions_enable=False,
 )
@@ -28,12 +27,26 @@ app.add_typer(recording_commands.app)
 
 
 @app.callback(invoke_without_command=True)
-def default(context: typer.Context) -> None:
-    """Opens the screen when no command is given on a terminal."""
+def default(
+    context: typer.Context,
+    fps: Fps = 10.0,
+    threshold: Threshold = 1.0,
+    theme: Theme = "auto",
+    keys: KeysFile = None,
+    log: LogFile = None,
+    connect: c.Connect = c.DEFAULT_CONNECT,
+    site: c.Site = c.DEFAULT_SITE,
+    config: c.Config = None,
+    operator: c.Operator = "",
+) -> None:
+    """The operator's client of a fleet: see where every robot is, and help where asked.
+
+    Without a command it is the screen. Options count for the command behind them as well.
+    """
     if context.invoked_subcommand is not None:
         return
     if sys.stdin.isatty() and sys.stdout.isatty():
-        context.invoke(screen)
+        screen(fps, threshold, theme, keys, log, connect, site, config, operator)
     else:
         typer.echo(context.get_help())
 

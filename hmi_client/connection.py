@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hmi_client.errors import NoServerError
+from hmi_client.options import given_before
 
 if TYPE_CHECKING:
     from hmi_client.client import Client
@@ -21,18 +22,31 @@ SERVER_TIMEOUT_S = 5.0
 
 Connect = Annotated[
     list[str],
-    typer.Option(help="endpoint of the router, repeatable", envvar="FLEETPOSE_HMI_CONNECT"),
+    typer.Option(
+        help="endpoint of the router, repeatable",
+        envvar="FLEETPOSE_HMI_CONNECT",
+        callback=given_before,
+    ),
 ]
-Site = Annotated[str, typer.Option(help="name of the site", envvar="FLEETPOSE_HMI_SITE")]
+Site = Annotated[
+    str,
+    typer.Option(help="name of the site", envvar="FLEETPOSE_HMI_SITE", callback=given_before),
+]
 Config = Annotated[
     Path | None,
     typer.Option(
-        help="zenoh configuration (JSON5), replaces --connect", envvar="FLEETPOSE_HMI_CONFIG"
+        help="zenoh configuration (JSON5), replaces --connect",
+        envvar="FLEETPOSE_HMI_CONFIG",
+        callback=given_before,
     ),
 ]
 Operator = Annotated[
     str,
-    typer.Option(help="who you are; default: the user's name", envvar="FLEETPOSE_HMI_OPERATOR"),
+    typer.Option(
+        help="who you are; default: the user's name",
+        envvar="FLEETPOSE_HMI_OPERATOR",
+        callback=given_before,
+    ),
 ]
 DEFAULT_CONNECT = ["tcp/127.0.0.1:7447"]
 DEFAULT_SITE = "demo"

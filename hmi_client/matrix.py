@@ -13,8 +13,9 @@ HIDDEN, UNTRIED, THROUGH, SELF = "-", "·", "~", "╲"
 BOLD_SHARE = 0.05
 _DOUBTS = {"verified": 0.25, "plausible": 0.5, "ambiguous": 0.75, "rejected": 1.0}
 
-Quantity = Literal["rms", "regression", "overlap", "age", "verdict"]
+Quantity = Literal["rms", "regression", "overlap", "age", "verdict", "grave"]
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
+_OF_A_POSE = ("rms", "regression", "overlap")  # where a rejected one has none
 
 
 @dataclass(frozen=True)
@@ -63,8 +64,9 @@ def is_shown(cell: PairCell, threshold_m: float) -> bool:
 
 
 def matrix_of(fleet: FleetState, threshold_m: float, quantity: Quantity = "rms") -> Matrix:
-    """The matrix of a fleet. Of errors, the largest 5 % of the shown ones, at least one, are bold,
-    and those above the threshold a hyphen; other quantities are shown of all pairs that were tried.
+    """The matrix of a fleet: what the last alignment of each pair gave. Of errors, the largest 5 %
+    of the shown ones, at least one, are bold, and those above the threshold a hyphen. So is what a
+    pair does not have whose last alignment was rejected.
     """
     robots = tuple(sorted((r.robot for r in fleet.robots), key=natural))
     errors = {(c.i, c.j): c.rmse_m or 0.0 for c in fleet.pairs if is_shown(c, threshold_m)}
@@ -79,7 +81,7 @@ def matrix_of(fleet: FleetState, threshold_m: float, quantity: Quantity = "rms")
         if cell.state != "tried":
             states = {"untried": UNTRIED, "through_others": THROUGH}
             cells[pair] = Cell(states[cell.state], clicked=clicked)
-        elif quantity in ("rms", "regression") and pair not in errors:
+        elif _is_hidden(cell, quantity, pair in errors):
             cells[pair] = Cell(HIDDEN, clicked=clicked)
         else:
             error = quantity in ("rms", "regression")
@@ -90,6 +92,13 @@ def matrix_of(fleet: FleetState, threshold_m: float, quantity: Quantity = "rms")
     return Matrix(robots, unit, cells, width, components_of(fleet))
 
 
+def _is_hidden(cell: PairCell, quantity: Quantity, error_shown: bool) -> bool:
+    if quantity == "grave":
+        return cell.p_grave is None
+    failed = cell.verdict == "rejected" and quantity in _OF_A_POSE
+    return failed or (quantity in ("rms", "regression") and not error_shown)
+
+
 def title_of(quantity: Quantity, unit: str) -> str:
     """What a matrix shows, with its unit."""
     return {
@@ -98,6 +107,7 @@ def title_of(quantity: Quantity, unit: str) -> str:
         "overlap": "overlap, %",
         "age": "age, s",
         "verdict": "verdicts",
+        "grave": "chance of a grave error, %",
     }[quantity]
 
 
@@ -114,6 +124,8 @@ def _value(cell: PairCell, quantity: Quantity) -> float:
             return cell.age_s
         case "verdict":
             return _DOUBTS.get(cell.verdict or "rejected", 1.0)
+        case "grave":
+            return cell.p_grave or 0.0
 
 
 def _text(cell: PairCell, quantity: Quantity, unit: str) -> str:
@@ -128,7 +140,30 @@ def _text(cell: PairCell, quantity: Quantity, unit: str) -> str:
         case "age":
             return f"{cell.age_s:.0f}"
         case "verdict":
-            return (cell.verdict or "?")[:4]
+            return f"{1 + cell.rivals} fit" if cell.rivals else (cell.verdict or "?")[:4]
+        case "grave":
+            return percent_text(cell.p_grave or 0.0).removesuffix(" %")
+
+
+def doubt_text(verdict: str | None, p_grave: float | None, rivals: int) -> str:
+    """A verdict and what speaks against it, in words: `ambiguous: 3 poses fit, 40 % likely to be
+    gravely off`. Of what was rejected nobody asks that.
+    """
+    doubts = [f"{1 + rivals} poses fit"] if rivals and verdict != "rejected" else []
+    if p_grave is not None and verdict != "rejected":
+        doubts.append(f"{percent_text(p_grave)} likely to be gravely off")
+    separator = ": " if rivals else ", "
+    return separator.join((verdict or "tried", *((", ".join(doubts),) if doubts else ())))
+
+
+def percent_text(share: float) -> str:
+    """A probability for reading: 12 %, 0.4 %, <0.1 %, and 100 % only where it is sure."""
+    percent = 100 * share
+    if percent < 0.1:
+        return "0 %" if share <= 0 else "<0.1 %"
+    if 99.5 <= percent < 100:
+        return ">99 %"
+    return f"{percent:.0f} %" if percent >= 9.95 else f"{percent:.1f} %"
 
 
 def components_of(fleet: FleetState) -> dict[str, str]:

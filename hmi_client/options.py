@@ -1,24 +1,52 @@
 """Options of the commands that show the screen."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
-Fps = Annotated[float, typer.Option(help="looks at the state per second", min=1, max=60)]
-Threshold = Annotated[float, typer.Option(help="hide errors above it, metres", min=0.0001)]
+
+def given_before(context: typer.Context, parameter: typer.CallbackParam, value: Any) -> Any:
+    """An option that was given before the command counts for it, unless it is given again behind:
+    `hmi-client --connect ENDPOINT why r7`.
+    """
+    name, here = parameter.name or "", context
+    while not _is_written(here, name):
+        if here.parent is None:
+            return value
+        here = here.parent
+    return value if here is context else here.params[name]
+
+
+def _is_written(context: Any, name: str) -> bool:
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"  # typer has had two homes for it
+
+
+Fps = Annotated[
+    float,
+    typer.Option(help="looks at the state per second", min=1, max=60, callback=given_before),
+]
+Threshold = Annotated[
+    float, typer.Option(help="hide errors above it, metres", min=0.0001, callback=given_before)
+]
 KeysFile = Annotated[
     Path | None,
     typer.Option(
         help="TOML file of keys, see 'hmi-client keys'; default: keys.toml in the config folder",
         envvar="FLEETPOSE_HMI_KEYS",
+        callback=given_before,
     ),
 ]
-LogFile = Annotated[Path | None, typer.Option(help="log file; default in the state folder")]
+LogFile = Annotated[
+    Path | None,
+    typer.Option(help="log file; default in the state folder", callback=given_before),
+]
 Theme = Annotated[
     Literal["auto", "dark", "light", "mono"],
     typer.Option(
         help="colours; auto: mono with NO_COLOR, light or dark by COLORFGBG, else dark",
         envvar="FLEETPOSE_HMI_THEME",
+        callback=given_before,
     ),
 ]

@@ -5,12 +5,13 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from hmi_client.ground import heading_rad, position, position_sigma_m
-from hmi_client.matrix import length_text
+from hmi_client.matrix import doubt_text, length_text
 from hmi_client.model import Entry, Pair
 from hmi_client.session import OperatorSession
 from protocol.messages import PairCell, RobotPose, ServerStatus
 
 Record = dict[str, Any]
+_DOUBTFUL = 5  # pairs that the status names
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -41,7 +42,7 @@ def pose_record(pose: RobotPose) -> Record:
 
 
 def pair_record(cell: PairCell) -> Record:
-    """Error of a pair; `rmse_m` is none where it is not known."""
+    """The last error of a pair; `rmse_m` is none where it is not known or the last try failed."""
     return {
         "type": "pair",
         "i": cell.i,
@@ -49,6 +50,8 @@ def pair_record(cell: PairCell) -> Record:
         "state": cell.state,
         "verdict": cell.verdict,
         "rmse_m": None if cell.rmse_m is None else round(cell.rmse_m, 4),
+        "p_grave": None if cell.p_grave is None else round(cell.p_grave, 3),
+        "rivals": cell.rivals,
         "correspondences": cell.correspondences,
     }
 
@@ -65,7 +68,9 @@ def sentence(record: Record) -> str:
         )
     if r["type"] == "pair":
         error = "-" if r["rmse_m"] is None else length_text(r["rmse_m"])
-        state = {"tried": r["verdict"] or "tried"}.get(r["state"], r["state"].replace("_", " "))
+        state = r["state"].replace("_", " ")
+        if r["state"] == "tried":
+            state = doubt_text(r["verdict"], r["p_grave"], r["rivals"])
         return f"pair  {r['i']} - {r['j']}  {error}  {state}  {r['correspondences']} clicked"
     if r["type"] == "drops":
         reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(r["by_reason"].items()))
@@ -152,6 +157,9 @@ def status_text(session: OperatorSession) -> str:
     if rows:
         head = ("robot", "located", "x m", "y m", "z m", "heading", "sigma", "why not")
         parts.append(table(head, rows))
+    doubtful = doubtful_rows(session)
+    if doubtful:
+        parts.append(table(("pair", "error", "tried", "most likely to be wrong"), doubtful))
     questions = session.fleet.questions if session.fleet else ()
     asked = [
         (str(k), f"{q.i} - {q.j}", length_text(q.gain), q.reason)
@@ -162,6 +170,22 @@ def status_text(session: OperatorSession) -> str:
     else:
         parts.append("no questions")
     return "\n\n".join(parts)
+
+
+def doubtful_rows(session: OperatorSession) -> list[tuple[str, ...]]:
+    """The pairs that count and that are most likely gravely off, the likeliest first."""
+    cells = session.fleet.pairs if session.fleet else ()
+    known = [(c.p_grave, c) for c in cells if c.p_grave is not None and c.verdict != "rejected"]
+    known.sort(key=lambda one: -one[0])
+    return [
+        (
+            f"{c.i} - {c.j}",
+            "-" if c.rmse_m is None else length_text(c.rmse_m),
+            f"{c.age_s:.0f} s ago",
+            doubt_text(c.verdict, c.p_grave, c.rivals),
+        )
+        for _, c in known[:_DOUBTFUL]
+    ]
 
 
 def robot_row(session: OperatorSession, robot: str) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping
 
-from hmi_client.matrix import length_text
+from hmi_client.matrix import doubt_text, length_text
 from hmi_client.model import Pair
 from hmi_client.reports import Record, pose_record, table
 from hmi_client.session import OperatorSession
@@ -60,7 +60,7 @@ def why_record(
 def pair_of(
     session: OperatorSession, robot: str, cell: PairCell, alignment: Alignment | None
 ) -> Record:
-    """A pair of a robot: its verdict, its newest alignment and its correspondences."""
+    """A pair of a robot: its newest alignment, what is held of it, and its correspondences."""
     sets = session.sets().get((cell.i, cell.j))
     clicked = Counter(c.status for c in sets.items) if sets else Counter()
     return {
@@ -68,6 +68,8 @@ def pair_of(
         "state": cell.state,
         "verdict": cell.verdict,
         "rmse_m": cell.rmse_m,
+        "p_grave": cell.p_grave,
+        "rivals": cell.rivals,
         "overlap": cell.overlap,
         "age_s": cell.age_s,
         "correspondences": dict(sorted(clicked.items())) if sets else cell.correspondences,
@@ -141,7 +143,7 @@ def why_text(record: Record) -> str:
     parts.append(_presence(record))
     rows = [_row(pair) for pair in record["pairs"][:SHOWN_PAIRS]]
     if rows:
-        head = ("with", "verdict", "error", "overlap", "clicked", "newest alignment")
+        head = ("with", "verdict", "error", "overlap", "tried", "clicked", "newest alignment")
         parts.append(table(head, rows))
     more = max(0, len(record["pairs"]) - SHOWN_PAIRS)
     if more or record["untried"]:
@@ -185,11 +187,15 @@ def _row(pair: Record) -> tuple[str, ...]:
     if alignment is not None:
         said = f"{alignment['inliers']} inliers from {alignment['start']}"
         said = "; ".join((said, *alignment["reasons"]))
+    tried, failed = pair["state"] == "tried", pair["rmse_m"] is None
     return (
         pair["other"],
-        pair["verdict"] or pair["state"].replace("_", " "),
-        "-" if pair["rmse_m"] is None else length_text(pair["rmse_m"]),
-        f"{100 * pair['overlap']:.0f} %" if pair["state"] == "tried" else "",
+        doubt_text(pair["verdict"], pair["p_grave"], pair["rivals"])
+        if tried
+        else pair["state"].replace("_", " "),
+        "-" if failed else length_text(pair["rmse_m"]),
+        "" if failed or not tried else f"{100 * pair['overlap']:.0f} %",
+        f"{pair['age_s']:.0f} s ago" if tried else "",
         str(clicked or ""),
         said,
     )

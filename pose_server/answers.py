@@ -1,22 +1,39 @@
 """What the server answers when it is asked: relative poses, and views that were clicked in."""
 
 import time
+from collections.abc import Callable
 
-from pose_server import publish
+from pose_server import publish, relations
 from pose_server.correspondences.journal import Journal
 from pose_server.correspondences.records import JournalError
+from pose_server.settings import ServerSettings
 from pose_server.site import Site
+from protocol.base import Message
 from protocol.codec import encoding_of, pack, unpack
 from protocol.messages import KeptView, View, ViewName
 from protocol.transport import Answer
 
+Reply = Callable[[Site, ServerSettings, dict[str, str]], Answer]
+"""Answers a query's parameters; in the server's own thread."""
 
-def relative(site: Site, asked: dict[str, str]) -> Answer:
-    """Answers `server/relative?from=a;to=b`; in the server's own thread."""
+
+def relative(site: Site, settings: ServerSettings, asked: dict[str, str]) -> Answer:
+    """Answers `server/relative?from=a;to=b`."""
     a, b = asked.get("from"), asked.get("to")
     if not a or not b:
         return Answer(error="ask as server/relative?from=r1;to=r2")
-    found = publish.relative_pose(site, a, b, time.monotonic())
+    return _answer(relations.relative_pose(site, a, b, settings, time.monotonic()))
+
+
+def why(site: Site, settings: ServerSettings, asked: dict[str, str]) -> Answer:
+    """Answers `server/why?robot=a`."""
+    if not (name := asked.get("robot")):
+        return Answer(error="ask as server/why?robot=r1")
+    return _answer(publish.why_not(site, name, settings, time.monotonic()))
+
+
+def _answer(found: Message | str) -> Answer:
+    """A message, or the sentence that says why there is none."""
     if isinstance(found, str):
         return Answer(error=found)
     return Answer(pack(found), encoding_of(type(found)))

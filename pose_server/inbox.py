@@ -67,9 +67,9 @@ class Noticed:
 
 @dataclass(frozen=True)
 class Asked:
-    """A query that the server's own thread answers."""
+    """A query that the server's own thread answers, when it comes to it."""
 
-    parameters: dict[str, str]
+    reply: Callable[[], Answer]
     answer: "Future[Answer]"
 
 

@@ -1,5 +1,10 @@
-"""The error matrix: a cell per pair of robots of which anything is known."""
+"""The error matrix: a cell per pair of robots of which anything is known.
 
+A cell tells of the last alignment. The graph may rest on better ones of earlier views: those say
+where the robots are, not how well they are seen to fit now.
+"""
+
+from pose_server.pairs.judging import PairResult
 from pose_server.site import RobotPair, Site
 from protocol.messages import PairCell, ViewName
 
@@ -28,35 +33,47 @@ def _cell(
     site: Site, pair: RobotPair, clicks: int, roots: dict[str, ViewName], now_s: float
 ) -> PairCell | None:
     record = site.pairs.get(pair)
-    best = None if record is None else record.best
+    last = None if record is None else record.last
     through = pair[0] in roots and roots[pair[0]] == roots.get(pair[1])
-    if best is None and not clicks:
+    if last is None and not clicks:
         return None
-    age_s = 0.0 if record is None or best is None else max(0.0, now_s - record.last_s)
+    age_s = 0.0 if record is None or last is None else max(0.0, now_s - record.last_s)
     age_s -= age_s % (1.0 if age_s < _OLD_S else 10.0)
-    made_of = (best, clicks, through, age_s)
+    made_of = (last, clicks, through, age_s)
     known = site.cells.get(pair)
     if known is not None and known[0] == made_of:
         return known[1]
-    a, b = pair
-    if best is None:
+    if last is None:
         state = "through_others" if through else "untried"
-        cell = PairCell(i=a, j=b, state=state, correspondences=clicks)
+        cell = PairCell(i=pair[0], j=pair[1], state=state, correspondences=clicks)
     else:
-        cell = PairCell(
-            i=a,
-            j=b,
-            state="tried",
-            verdict=best.verdict,
-            rmse_m=best.rmse_m,
-            regression_error_m2=best.regression_error_m2,
-            regression_count=best.regression_count,
-            overlap=best.overlap,
-            age_s=age_s,
-            correspondences=clicks,
-        )
+        cell = _tried(pair, last, clicks, age_s)
     site.cells[pair] = (made_of, cell)
     return cell
+
+
+def error_of(last: PairResult) -> float | None:
+    """What a pair shows as its error, metres: none where its last alignment was rejected."""
+    return None if last.T_i_j is None or last.verdict == "rejected" else last.rmse_m
+
+
+def _tried(pair: RobotPair, last: PairResult, clicks: int, age_s: float) -> PairCell:
+    rmse_m = error_of(last)
+    failed = rmse_m is None
+    return PairCell(
+        i=pair[0],
+        j=pair[1],
+        state="tried",
+        verdict=last.verdict,
+        rmse_m=rmse_m,
+        regression_error_m2=None if failed else last.regression_error_m2,
+        regression_count=0 if failed else last.regression_count,
+        overlap=0.0 if failed else last.overlap,
+        age_s=age_s,
+        correspondences=clicks,
+        p_grave=None if last.T_i_j is None else last.p_grave,
+        rivals=len(last.rivals),
+    )
 
 
 def _roots(site: Site) -> dict[str, ViewName]:

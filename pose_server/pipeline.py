@@ -323,6 +323,7 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
     for name in (i.robot, j.robot):
         site.robot(name).errors = None
     site.touched.update((i.robot, j.robot))
+    record.last, record.last_views = done.outcome, (i, j)
     if done.result is None:
         site.say(f"alignment of {i} and {j} failed: {done.error}")
         return
@@ -335,7 +336,6 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
     if done.job.features:
         record.searched[i, j] = done.result
     note_open(site, done)
-    record.last, record.last_views = done.result, (i, j)
     if _is_better(done.result, record.best):
         record.best, record.best_views = done.result, (i, j)
     at_i, at_j = site.attached(i), site.attached(j)
@@ -362,7 +362,10 @@ def _link_pair(site: Site, i: Attached, j: Attached, done: Done) -> None:
     clicks, result = done.job.clicks, done.result
     enough = clicks is not None and len(clicks.z_i) >= 3
     operator, grown = result.confirmed and enough, result.grown and enough
-    edge = Edge(i.keyframe, j.keyframe, T, covariance, result.verdict, kind, operator, grown)
+    edge = Edge(
+        *(i.keyframe, j.keyframe, T, covariance, result.verdict, kind, operator, grown),
+        p_grave=result.p_grave,
+    )
     before = site.edges.get(edge.key)
     if before is None or operator or _rank(edge) >= _rank(before):
         site.link(edge)
@@ -376,7 +379,7 @@ _GOOD = {"verified": 3, "plausible": 2, "ambiguous": 1, "rejected": 0}
 
 
 def _is_better(new: PairResult, old: PairResult | None) -> bool:
-    """Verdict first, then inliers: what a pair shows in the matrix is its best alignment."""
+    """Verdict first, then inliers. The best says what a pair may be worth; shown is the last."""
     if old is None:
         return True
     return (_GOOD[new.verdict], new.inliers) >= (_GOOD[old.verdict], old.inliers)

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.frames import body_pose, in_fleet, position_sigma, strayed
-from pose_server.geometry.se3 import inverse, rotation_angle
-from pose_server.matrix import pair_cells
+from pose_server.geometry.se3 import rotation_angle
+from pose_server.matrix import error_of, pair_cells
 from pose_server.pairs.judging import PairResult
 from pose_server.questions import questions
 from pose_server.settings import ServerSettings
@@ -16,10 +16,10 @@ from protocol.messages import (
     Alignment,
     FleetState,
     PairError,
-    RelativePose,
     RobotPose,
     RobotState,
     ViewName,
+    WhyNot,
 )
 
 Floats = npt.NDArray[np.floating]
@@ -61,7 +61,9 @@ def robot_pose(
     component = site.component_name(root)
     age_s = max(0.0, stamp.now_s - kept.received_s)
     verdict = site.solution.nodes[newest.keyframe].verdict
-    located = not _why_not(site, settings, root, verdict, age_s, T, covariance, kept.median_depth_m)
+    why_not = _absent(robot) or _why_not(
+        site, settings, root, verdict, age_s, T, covariance, kept.median_depth_m
+    )
     robot.published_node = site.solution.nodes[newest.keyframe]
     jumped = _jumped(site, robot, newest.keyframe, T_fleet_root, component)
     if age_s > settings.fresh_s:
@@ -74,7 +76,7 @@ def robot_pose(
         T_fleet_robot=T,
         covariance=covariance,
         component=component,
-        located=located,
+        located=not why_not,
         verdict=verdict,
         gauge_revision=site.gauge_revision,
         jumped=jumped,
@@ -83,6 +85,7 @@ def robot_pose(
         errors=_errors(site, robot),
         server_epoch=stamp.epoch,
         n=robot.poses_sent,
+        why_not=why_not,
     )
 
 
@@ -94,8 +97,8 @@ def why_not_located(site: Site, robot: Robot, settings: ServerSettings, now_s: f
             if robot.alive
             else "not there"
         )
-    if not robot.alive:
-        return "its token is gone: the agent ended or lost the network"
+    if absent := _absent(robot):
+        return absent
     pose = robot.published
     if pose is None:
         return "its views are not aligned yet"
@@ -116,6 +119,15 @@ def why_not_located(site: Site, robot: Robot, settings: ServerSettings, now_s: f
         pose.covariance,
         kept.median_depth_m,
     )
+
+
+def _absent(robot: Robot) -> str:
+    """That nobody knows where it is now, whatever was known; empty if its views still come."""
+    if not robot.alive:
+        return "its token is gone: the agent ended or lost the network"
+    if robot.newest is not None and robot.newest.epoch != robot.epoch:
+        return "it was started anew, and no view of this life of it has come yet"
+    return ""
 
 
 def _why_not(
@@ -166,17 +178,12 @@ def _jumped(
 
 
 def _errors(site: Site, robot: Robot) -> tuple[PairError, ...]:
-    """Of its pairs, made anew only when one of them was aligned."""
+    """Of its pairs, each its last; made anew only when one of them was aligned."""
     if robot.errors is None:
-        records = [
-            (other, record.best)
-            for other in site.partners[robot.name]
-            if (record := site.pair(robot.name, other)).best is not None
-        ]
         robot.errors = tuple(
-            PairError(other=other, rmse_m=best.rmse_m, verdict=best.verdict)
-            for other, best in records
-            if best is not None
+            PairError(other=other, rmse_m=error_of(last), verdict=last.verdict)
+            for other in site.partners[robot.name]
+            if (last := site.pair(robot.name, other).last) is not None
         )
     return robot.errors
 
@@ -260,7 +267,7 @@ def _robot_state(site: Site, robot: Robot, settings: ServerSettings, now_s: floa
     if pose is not None:
         kept = site.views.get(pose.view)
         age_s = pose.age_s if kept is None else max(0.0, now_s - kept.received_s)
-        now = {"age_s": age_s, "located": not why_not}
+        now = {"age_s": age_s, "located": not why_not, "why_not": why_not}
         if age_s > settings.fresh_s:
             counted_s = pose.age_s if pose.age_s > settings.fresh_s else 0.0
             unseen_s = max(age_s**2 - counted_s**2, 0.0) ** 0.5
@@ -276,28 +283,17 @@ def _robot_state(site: Site, robot: Robot, settings: ServerSettings, now_s: floa
     )
 
 
-def relative_pose(site: Site, a: str, b: str, now_s: float) -> RelativePose | str:
-    """T_a_b of two robots' bodies, or why there is none."""
-    for name in (a, b):
-        if name not in site.robots:
-            known = ", ".join(sorted(site.robots)) or "none"
-            return f"no robot '{name[:32]}' is known; known are: {known}"
-    at_a, at_b = site.robots[a].track.newest, site.robots[b].track.newest
-    if at_a is None or at_b is None or site.solution is None:
-        return f"'{a if at_a is None else b}' has no aligned view yet"
-    relative = site.solution.relative(at_a.keyframe, at_b.keyframe)
-    if relative is None or relative.covariance is None:
-        return f"nothing joins '{a}' and '{b}': they are in different components of the fleet"
-    body_a, body_b = (site.views[at.view].camera.T_robot_camera for at in (at_a, at_b))
-    T_body_a = body_a @ inverse(at_a.T_keyframe_view)
-    T = T_body_a @ relative.T_a_b @ at_b.T_keyframe_view @ inverse(body_b)
-    ages = [now_s - site.views[at.view].received_s for at in (at_a, at_b)]
-    through = dict.fromkeys(view.robot for view in relative.path if view.robot not in (a, b))
-    return RelativePose(
-        a=a,
-        b=b,
-        T_a_b=T,
-        covariance=in_fleet(T_body_a, relative.covariance),
-        age_s=max(0.0, *ages),
-        through=tuple(through),
-    )
+def why_not(site: Site, name: str, settings: ServerSettings, now_s: float) -> WhyNot | str:
+    """What operators are told of a robot, or why nothing is known of it."""
+    robot = site.robots.get(name)
+    if robot is None:
+        return unknown(site, name)
+    reason = why_not_located(site, robot, settings, now_s)
+    alarms = tuple(alarm.text for alarm in site.alarms if alarm.robot == name)
+    return WhyNot(robot=name, located=not reason, why_not=reason, alarms=alarms)
+
+
+def unknown(site: Site, name: str) -> str:
+    """That a robot is not known, and which are."""
+    known = ", ".join(sorted(site.robots)) or "none"
+    return f"no robot '{name[:32]}' is known; known are: {known}"

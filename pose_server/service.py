@@ -102,7 +102,8 @@ class Service:
             takeover=self.settings.takeover,
         )
         self._inbox.subscribe(self.link)
-        self.link.queryable(self.keys.relative, self._ask)
+        for key, reply in ((self.keys.relative, answers.relative), (self.keys.why, answers.why)):
+            self.link.queryable(key, lambda asked, reply=reply: self._ask(reply, asked))
         self.link.queryable(
             self.keys.server_view, lambda asked: answers.journalled_view(self.journal, asked)
         )
@@ -172,7 +173,7 @@ class Service:
             case Noticed():
                 self.site.say(event.text)
             case Asked():
-                event.answer.set_result(answers.relative(self.site, event.parameters))
+                event.answer.set_result(event.reply())
             case _:
                 pass
 
@@ -235,8 +236,8 @@ class Service:
         pipeline.take_result(self.site, done, time.monotonic())
         self._ask_for_wide_sets()
         i, j = done.job.i.name, done.job.j.name
-        result = done.result
-        if result is not None and i.robot != j.robot:
+        if i.robot != j.robot:
+            result = done.outcome
             self._teller.alignment(i, j, result)
             found = (result.verdict, result.start, result.inliers, "; ".join(result.reasons))
             log.info("aligned i=%s j=%s verdict=%s start=%s inliers=%d reasons=%s", i, j, *found)
@@ -389,9 +390,9 @@ class Service:
         self._next[what] = now + period_s
         return True
 
-    def _ask(self, parameters: dict[str, str]) -> Answer:
+    def _ask(self, reply: answers.Reply, parameters: dict[str, str]) -> Answer:
         """Has the server's own thread answer; runs in a thread of its own."""
-        asked = Asked(parameters, Future())
+        asked = Asked(lambda: reply(self.site, self.settings, parameters), Future())
         self._queue.put(asked)
         try:
             return asked.answer.result(_ANSWER_S)

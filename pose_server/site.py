@@ -101,7 +101,8 @@ class PairRecord:
         searched: what features gave for keyframe pairs.
         clicks_due: the operator's set changed and was not aligned since.
         search_due: it was, but without asking features again, and nothing sure was found.
-        last: the newest alignment, its views and when it ended.
+        last: the newest alignment, its views and when it ended: this is what is told of the pair.
+        best: by verdict, then inliers: what the agenda and the questions go by.
     """
 
     untried: dict[ViewPair, float] = field(default_factory=dict)

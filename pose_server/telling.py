@@ -13,9 +13,10 @@ from pose_server.settings import ServerSettings
 from pose_server.site import RobotPair, Site
 from protocol.base import Message
 from protocol.keys import Keys
-from protocol.messages import OperatorUpdate, ViewName
+from protocol.messages import FleetState, OperatorUpdate, ViewName
 
 _STATE_SHARE = 0.05  # of the server's own thread that making the fleet's state may take
+LONGEST_PAUSE_S = 1.0  # of the fleet's state, however long the last one took
 
 
 @dataclass
@@ -77,7 +78,20 @@ class Teller:
         began_s = time.monotonic()
         state = publish.fleet_state(self.site, self.settings, self.stamp(), self._count_up("state"))
         self.put(self.keys.state, state)
-        return (time.monotonic() - began_s) / _STATE_SHARE
+        self._tell_again(state)
+        return pause_s(time.monotonic() - began_s)
+
+    def _tell_again(self, state: FleetState) -> None:
+        """Poses of robots that are not located any more, or are again, without a new view: who
+        hears poses alone must hear that as well, and who comes late must not hear the old one.
+        """
+        for told in state.robots:
+            robot = self.site.robots[told.robot]
+            before, now = robot.published, told.pose
+            if before is not None and now is not None and now.located != before.located:
+                robot.poses_sent += 1
+                robot.published = now.model_copy(update={"n": robot.poses_sent, "jumped": False})
+                self.put(self.keys.pose(robot.name), robot.published)
 
     def stamp(self) -> Stamp:
         """This server, now."""
@@ -86,3 +100,10 @@ class Teller:
     def _count_up(self, what: str) -> int:
         self._numbers[what] = self._numbers.get(what, 0) + 1
         return self._numbers[what]
+
+
+def pause_s(took_s: float) -> float:
+    """For how long no state follows one that took so long: it is to cost a share of the thread's
+    time only, but a thread that was held up once has no reason to be silent for long.
+    """
+    return max(min(took_s / _STATE_SHARE, LONGEST_PAUSE_S) - took_s, 0.0)

@@ -10,6 +10,8 @@ from protocol.errors import NameRefusedError
 
 NAME_PATTERN = r"^[a-z0-9_-]{1,32}$"
 _NAME = re.compile(NAME_PATTERN)
+EVERY_SERVER = "fleet/*/server/alive/*"
+"""The tokens of the servers of all sites."""
 
 
 def checked_name(name: str) -> str:
@@ -73,6 +75,10 @@ class Keys:
         return f"{self.root}/server/relative"
 
     @property
+    def why(self) -> str:
+        return f"{self.root}/server/why"
+
+    @property
     def server_view(self) -> str:
         return f"{self.root}/server/view"
 
@@ -112,6 +118,11 @@ class Keys:
         if not key.startswith(prefix):
             raise NameRefusedError(f"key '{key}' is not of site '{self.site}'")
         return [checked_name(chunk) for chunk in key[len(prefix) :].split("/")]
+
+
+def site_of(key: str) -> str:
+    """The site of any key."""
+    return key.split("/")[1]
 
 
 def ordered_pair(a: str, b: str) -> tuple[str, str]:

@@ -138,16 +138,18 @@ class Odometry(Message, frozen=True, schema="fleet.odometry.v1"):
     covariance: Matrix6
 
 
-class PairError(Message, frozen=True, schema="fleet.pair_error.v1"):
-    """One of a robot's pairs, as its pose message tells it."""
+class PairError(Message, frozen=True, schema="fleet.pair_error.v2", before="fleet.pair_error.v1"):
+    """One of a robot's pairs, as its pose message tells it: its last alignment, not its best. v2
+    has no error where that failed.
+    """
 
     other: Name
-    rmse_m: NonNegative
+    rmse_m: NonNegative | None = Field(description="none where the last alignment failed")
     verdict: Verdict
 
 
-class RobotPose(Message, frozen=True, schema="fleet.pose.v1"):
-    """`pose/<id>`: where a robot is in the fleet frame."""
+class RobotPose(Message, frozen=True, schema="fleet.pose.v2", before="fleet.pose.v1"):
+    """`pose/<id>`: where a robot is in the fleet frame. v2 says why it is not located."""
 
     robot: Name
     view: ViewName = Field(description="the view whose moment this pose is of")
@@ -168,6 +170,16 @@ class RobotPose(Message, frozen=True, schema="fleet.pose.v1"):
     errors: Many[PairError] = ()
     server_epoch: Epoch
     n: Count = Field(description="counts up per robot and server epoch")
+    why_not: Text = Field(
+        default="", description="why it is not located, as operators read it; empty if it is"
+    )
+
+    @property
+    def valid_for_s(self) -> float:
+        """For how long it may be acted on from when it was sent; by the receiver's own clock that
+        is from its arrival. Zero: it was too old when sent.
+        """
+        return max((self.valid_until_ns - self.stamp_ns) * 1e-9 - self.age_s, 0.0)
 
 
 class Alignment(Message, frozen=True, schema="fleet.alignment.v2", before="fleet.alignment.v1"):
@@ -279,23 +291,31 @@ class Selection(Message, frozen=True, schema="fleet.selection.v1"):
     view_j: ViewName | None = None
 
 
-class PairCell(Message, frozen=True, schema="fleet.pair_cell.v1"):
-    """One cell of the error matrix, i < j."""
+class PairCell(Message, frozen=True, schema="fleet.pair_cell.v2", before="fleet.pair_cell.v1"):
+    """One cell of the error matrix, i < j: the last alignment of the pair, whatever came of it. v2
+    tells how likely that is gravely off.
+    """
 
     i: Name
     j: Name
     state: Literal["untried", "through_others", "tried"]
     verdict: Verdict | None = None
-    rmse_m: NonNegative | None = None
+    rmse_m: NonNegative | None = Field(default=None, description="none where it was rejected")
     regression_error_m2: NonNegative | None = None
     regression_count: Count = 0
     overlap: NonNegative = 0.0
-    age_s: NonNegative = 0.0
+    age_s: NonNegative = Field(default=0.0, description="since that alignment")
     correspondences: Count = 0
+    p_grave: Probability | None = Field(
+        default=None, description="that its pose is gravely off; none without a pose"
+    )
+    rivals: Count = Field(default=0, description="other poses that the images support as well")
 
 
-class RobotState(Message, frozen=True, schema="fleet.robot_state.v1"):
-    """One robot in the fleet's state."""
+class RobotState(
+    Message, frozen=True, schema="fleet.robot_state.v2", before="fleet.robot_state.v1"
+):
+    """One robot in the fleet's state. v2 holds a pose of v2."""
 
     robot: Name
     alive: bool
@@ -316,12 +336,12 @@ class Alarm(Message, frozen=True, schema="fleet.alarm.v1"):
 class FleetState(
     Message,
     frozen=True,
-    schema="fleet.state.v5",
-    before="fleet.state.v4",
+    schema="fleet.state.v6",
+    before="fleet.state.v5",
     at_most=MAX_MESSAGE_BYTES,
 ):
-    """`fleet/state`: everything a late client needs, at a steady rate. v5 has no cells of pairs
-    that were neither tried nor clicked in.
+    """`fleet/state`: everything a late client needs, at a steady rate. v6 tells of each pair how
+    likely it is gravely off.
     """
 
     server_epoch: Epoch
@@ -377,15 +397,42 @@ class ServerStatus(Message, frozen=True, schema="fleet.status.v2", before="fleet
     picked: Text = Field(default="", description="why the last pair of robots was picked")
 
 
-class RelativePose(Message, frozen=True, schema="fleet.relative_pose.v1"):
-    """Reply of `server/relative?from=a;to=b`."""
+class RelativePose(
+    Message, frozen=True, schema="fleet.relative_pose.v2", before="fleet.relative_pose.v1"
+):
+    """Reply of `server/relative?from=a;to=b`. v2 says whether it may be acted on; what v1 leaves
+    out counts as no.
+    """
 
     a: Name
     b: Name
     T_a_b: Pose = Field(description="robot body frames")
-    covariance: Matrix6
-    age_s: NonNegative
+    covariance: Matrix6 = Field(
+        description="left perturbation of T_a_b; grown by what either may have moved unseen"
+    )
+    age_s: NonNegative = Field(description="of the older of the two views, by the server's clock")
     through: Many[Name]
+    verdict: Verdict = Field(
+        default="ambiguous", description="of the weakest link that holds either of them"
+    )
+    located: bool = Field(default=False, description="whether both robots are")
+    p_grave: Probability = Field(
+        default=1.0,
+        description="that it is gravely off: that one of the links on the way is; 1 where nothing "
+        "but clicks links two robots",
+    )
+    why_not: Text = Field(
+        default="", description="why they are not both located, as operators read it"
+    )
+
+
+class WhyNot(Message, frozen=True, schema="fleet.why_not.v1"):
+    """Reply of `server/why?robot=a`: what operators are told of a robot."""
+
+    robot: Name
+    located: bool
+    why_not: Text = Field(description="why it is not located; empty if it is")
+    alarms: Many[Text] = Field(description="what is off at it, each with what to do")
 
 
 MESSAGES: tuple[type[Message], ...] = tuple(Message.__subclasses__())

@@ -111,6 +111,12 @@ class Link:
     session: zenoh.Session
     _declared: list[Any] = field(default_factory=list)
 
+    @property
+    def connected(self) -> bool:
+        """Whether a router, or any other process, is reached now."""
+        info = self.session.info
+        return bool(list(info.routers_zid()) or list(info.peers_zid()))
+
     def bulk(self, key: str, background: bool = False) -> Publisher:
         """For clouds and images: reliable, waits for the link, never in the way of poses. Use from
         one own thread.

@@ -56,13 +56,13 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
             takeover=settings.takeover,
         ) as robot:
             log.info("started name=%s epoch=%s camera=%s", robot.name, robot.epoch, settings.camera)
-            told = 0
+            heard = _Heard(robot)
             for frame in paced(camera.frames(), settings.rate_hz, stop):
                 robot.push_frame(frame)
-                told = _tell_drops(robot, told)
+                heard.log()
             if not stop.is_set():
                 robot.flush()
-            _tell_drops(robot, told)
+            heard.log()
             log.info(
                 "ended name=%s reason=%s",
                 robot.name,
@@ -72,14 +72,38 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
         camera.close()
 
 
-def _tell_drops(robot: FleetRobot, told: int) -> int:
-    """Logs the counts where they grew; what came first was logged as it came."""
-    counts = robot.drops.snapshot()
-    total = sum(counts.values())
-    if total > told:
-        by_reason = "; ".join(f"{reason} {n}" for reason, n in sorted(counts.items()))
-        log.info("drops name=%s total=%d by_reason=%s", robot.name, total, by_reason)
-    return total
+class _Heard:
+    """Logs what a robot hears of itself, each time that it changes."""
+
+    def __init__(self, robot: FleetRobot) -> None:
+        self._robot = robot
+        self._dropped = 0
+        self._located: bool | None = None
+
+    def log(self) -> None:
+        self._log_drops()
+        self._log_located()
+
+    def _log_drops(self) -> None:
+        """The counts where they grew; what came first was logged as it came."""
+        counts = self._robot.drops.snapshot()
+        before, self._dropped = self._dropped, sum(counts.values())
+        if self._dropped > before:
+            by_reason = "; ".join(f"{reason} {n}" for reason, n in sorted(counts.items()))
+            log.info(
+                "drops name=%s total=%d by_reason=%s", self._robot.name, self._dropped, by_reason
+            )
+
+    def _log_located(self) -> None:
+        """Whether it is located, and why it is not, as operators read it."""
+        pose = self._robot.pose()
+        if pose is None or pose.located == self._located:
+            return
+        self._located = pose.located
+        if pose.located:
+            log.info("located name=%s component=%s", pose.robot, pose.component)
+        else:
+            log.info("not located name=%s reason=%s", pose.robot, pose.why_not)
 
 
 def paced(frames: Iterator[Frame], rate_hz: float, stop: threading.Event) -> Iterator[Frame]:

@@ -3,7 +3,8 @@
 robot = FleetRobot("r7", SessionSettings(connect=("tcp/10.0.0.1:7447",)), camera=model)
 robot.push(image, depth_m, stamp_ns, T_odom_robot)
 pose = robot.pose()
-if pose is not None and not robot.is_stale(pose): ...
+if pose is not None and pose.located and not robot.is_stale(pose): ...
+else: print(robot.why())
 robot.close()
 """
 
@@ -17,10 +18,10 @@ import numpy.typing as npt
 
 from protocol.codec import encoding_of, pack, unpack
 from protocol.drops import Drops
-from protocol.errors import CalibrationError, CodecError
-from protocol.keys import Keys, checked_name, new_epoch
-from protocol.messages import Camera, Odometry, RelativePose, RobotPose, ViewName
-from protocol.presence import Presence
+from protocol.errors import CalibrationError, CodecError, UnreachableError
+from protocol.keys import EVERY_SERVER, Keys, checked_name, new_epoch, site_of
+from protocol.messages import Camera, Odometry, RelativePose, RobotPose, ViewName, WhyNot
+from protocol.presence import LiveServer, Presence
 from protocol.transport import Link, SessionSettings, open_session
 from robot_agent.cameras.base import DepthImage, DisparityImage, Frame, Ranges, ScatteredPoints
 from robot_agent.poses import PoseBoard
@@ -28,12 +29,15 @@ from robot_agent.sender import Sender, SenderSettings
 
 log = logging.getLogger(__name__)
 
+NO_SERVER_S = 5.0  # without a server until that is logged: it may be starting
+
 
 class FleetRobot:
     """One robot of the fleet: its views go out, poses come back. Close it, or use it in a `with`.
 
-    Methods may be called from any thread; none of them waits for the network but `relative_pose`
-    and `flush`.
+    Methods may be called from any thread; none of them waits for the network but `relative_pose`,
+    `why` and `flush`. Only the server that lives is listened to, by its token; what others publish
+    in its place is refused, counted in `drops` and logged.
 
     Attributes:
         drops: what arrived and could not be used, counted by reason.
@@ -70,7 +74,9 @@ class FleetRobot:
         self._seq = 0
         self.drops = Drops()
         self._link = Link(open_session(session))
-        self._poses = PoseBoard(self._keys, self.drops)
+        self._server = LiveServer(self._link, self._keys)
+        self._told_absence = False
+        self._poses = PoseBoard(self._keys, self.drops, self._server)
         try:
             self._presence = Presence(
                 self._link,
@@ -144,6 +150,7 @@ class FleetRobot:
             NameTakenError: another agent has taken the name over.
         """
         self._presence.check()
+        self._log_absence()
         _check_sizes(frame)
         _check_up(frame.up_camera)
         name = ViewName(robot=self.name, epoch=self.epoch, seq=self._seq)
@@ -170,15 +177,20 @@ class FleetRobot:
         self._odometry.put(pack(odometry), encoding_of(Odometry))
 
     def pose(self) -> RobotPose | None:
-        """The newest pose of this robot, None before the first. Ask `is_stale` before acting."""
+        """The newest pose of this robot, None before the first. Ask `is_stale` before acting, and
+        whether it is `located`; `why_not` says why it is not.
+        """
         return self.poses().get(self.name)
 
     def is_stale(self, pose: RobotPose) -> bool:
-        """Whether this robot's pose is no longer to be acted on, by this robot's clock."""
-        return time.time_ns() > pose.valid_until_ns
+        """Whether a pose, of any robot, is no longer to be acted on: its time is over, counted from
+        its arrival by the monotonic clock, or another server has come since. Wall clocks have no
+        say. What did not arrive here is stale.
+        """
+        return not self._poses.is_valid(pose)
 
     def poses(self) -> dict[str, RobotPose]:
-        """The newest pose of every robot. Clocks differ between robots: for others see `age_s`."""
+        """The newest pose of every robot."""
         return {name: received.pose for name, received in self._poses.newest().items()}
 
     def age_s(self, robot: str) -> float | None:
@@ -188,17 +200,63 @@ class FleetRobot:
             return None
         return received.pose.age_s + time.monotonic() - received.at_s
 
+    @property
+    def server_alive(self) -> bool:
+        """Whether a server of the site is there now."""
+        return self._server.epoch is not None
+
+    def why(self, timeout_s: float = 3.0) -> str:
+        """Why this robot is not located, and what is off at it, in the words that operators read,
+        asked of the server now; empty if it is located and nothing is off. Where no server is
+        there, that is what it says.
+        """
+        if not self.server_alive:
+            return self._no_server() + self._elsewhere()
+        try:
+            answer = self._link.query(f"{self._keys.why}?robot={self.name}", timeout_s)
+            told = unpack(WhyNot, answer.payload, answer.encoding)
+        except (UnreachableError, CodecError) as error:
+            return str(error)
+        return "; ".join(sentence for sentence in (told.why_not, *told.alarms) if sentence)
+
+    def _no_server(self) -> str:
+        if not self._link.connected:
+            return "no router is reached: what is sent is lost until one is"
+        site = self._keys.site
+        return f"no server at site '{site}': is the site name right, is 'pose-server run' running?"
+
+    def _elsewhere(self) -> str:
+        """At which other sites there is a server."""
+        sites = sorted({site_of(key) for key in self._link.alive(EVERY_SERVER, timeout_s=1.0)})
+        return f" There is one at {' and '.join(sites)}." if sites else ""
+
+    def _log_absence(self) -> None:
+        """Logs that nobody takes what is sent, and that somebody does again, once each."""
+        absent = self._server.absent_s > NO_SERVER_S
+        if absent and not self._told_absence:
+            log.warning("%s", self._no_server())
+        if self._told_absence and self.server_alive:
+            log.info("a server is at site '%s' now", self._keys.site)
+        self._told_absence = (absent or self._told_absence) and not self.server_alive
+
     def relative_pose(self, other: str, timeout_s: float = 3.0) -> RelativePose:
         """Where another robot is, seen from this one, asked of the server now.
 
-        In the answer `T_a_b`, this robot is a.
+        In the answer `T_a_b`, this robot is a. Act on it only if it is `located`: both robots are,
+        and their views are fresh; else `why_not` says why, and the covariance has grown by what
+        either may have moved since. `p_grave` is the chance that it is gravely off all the same.
 
         Raises:
             UnreachableError: there is no server, or no way to tell; the text says why.
             CodecError: the answer is damaged.
         """
         selector = f"{self._keys.relative}?from={self.name};to={checked_name(other)}"
-        answer = self._link.query(selector, timeout_s)
+        try:
+            answer = self._link.query(selector, timeout_s)
+        except UnreachableError as error:
+            if self.server_alive:
+                raise
+            raise UnreachableError(f"{error}: {self._no_server()}") from error
         try:
             return unpack(RelativePose, answer.payload, answer.encoding)
         except CodecError as error:

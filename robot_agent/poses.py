@@ -1,4 +1,4 @@
-"""The newest pose of every robot, as the server publishes them."""
+"""The newest pose of every robot, as the server that lives publishes them."""
 
 import threading
 import time
@@ -10,6 +10,7 @@ from protocol.drops import Drops
 from protocol.errors import CodecError, FleetPoseError
 from protocol.keys import Keys
 from protocol.messages import RobotPose
+from protocol.presence import LiveServer
 from protocol.transport import Sample
 
 MAX_WAITING = 4096
@@ -30,14 +31,16 @@ class PoseBoard:
     Args:
         keys: of the site.
         drops: where what cannot be used is counted.
+        server: the one whose poses are taken.
     """
 
-    def __init__(self, keys: Keys, drops: Drops) -> None:
-        self._keys, self._drops = keys, drops
+    def __init__(self, keys: Keys, drops: Drops, server: LiveServer) -> None:
+        self._keys, self._drops, self._server = keys, drops, server
         self._changed = threading.Condition()
         self._waiting: deque[tuple[Sample, float]] = deque()
         self._closed = False
         self._newest: dict[str, Received] = {}
+        self._valid_until_s: dict[str, dict[tuple[str, int], float]] = {}  # by epoch and n
         self._thread = threading.Thread(target=self._run, name="poses", daemon=True)
         self._thread.start()
 
@@ -55,6 +58,16 @@ class PoseBoard:
         """The newest pose per robot. Repeated, older and damaged messages change nothing."""
         with self._changed:
             return dict(self._newest)
+
+    def is_valid(self, pose: RobotPose) -> bool:
+        """Whether a pose was received here, not too long ago by this process's monotonic clock, and
+        no other server has come since: its poses count then.
+        """
+        if self._server.epoch not in (None, pose.server_epoch):
+            return False
+        with self._changed:
+            known = self._valid_until_s.get(pose.robot, {})
+        return time.monotonic() < known.get((pose.server_epoch, pose.n), 0.0)
 
     def close(self) -> None:
         """Ends the thread."""
@@ -79,9 +92,14 @@ class PoseBoard:
         pose = unpack(RobotPose, sample.payload, sample.encoding)
         if sample.key != self._keys.pose(pose.robot):
             raise CodecError(f"a pose of '{pose.robot}' under another robot's key")
+        self._server.check(pose.server_epoch, "a pose")
         known = self._newest.get(pose.robot)
         if known is None and len(self._newest) >= MAX_ROBOTS:
             raise CodecError(f"more than {MAX_ROBOTS} robots have poses")
         if known is None or pose.server_epoch != known.pose.server_epoch or pose.n > known.pose.n:
+            valid = self._valid_until_s.get(pose.robot, {}).items()
+            until_s = {which: until for which, until in valid if until > at_s}
+            until_s[pose.server_epoch, pose.n] = at_s + pose.valid_for_s
             with self._changed:
                 self._newest[pose.robot] = Received(pose, at_s)
+                self._valid_until_s[pose.robot] = until_s

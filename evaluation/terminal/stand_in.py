@@ -120,6 +120,7 @@ class StandIn:
         self._sets: dict[tuple[str, str], PairCorrespondences] = {}
         self._receipted: dict[str, int] = {}
         self._publishers: dict[str, Publisher] = {}
+        link.token(keys.server_alive(self._epoch))
         self._states = link.latched(keys.state)
         self._poses = [link.latched(keys.pose(name)) for name in self._names]
         self._bulk = [link.bulk(keys.image(name), background=True) for name in self._names]

@@ -85,7 +85,7 @@ IMAGES = [
 ]
 MATRIX = [
     _key("enter", "choose", "Select", "select", "look at the pair under the cursor"),
-    _key("t", "quantity", "Quantity", "quantity", "errors, overlap, age or verdicts"),
+    _key("t", "quantity", "Quantity", "quantity", "errors, overlap, age, verdicts or doubt"),
     *_arrows(8),
 ]
 MAP = [

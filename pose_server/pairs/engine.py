@@ -91,6 +91,12 @@ class Done:
     tries: int = 1
     worker_died: bool = False
 
+    @property
+    def outcome(self) -> PairResult:
+        """What became of the pair: where there is no result, that it failed."""
+        failed = PairResult(None, None, "rejected", (f"the alignment failed: {self.error}",))
+        return self.result or failed
+
 
 def use_one_thread() -> None:
     """Has this process compute in one thread, and keep its scratch memory: the processes are the

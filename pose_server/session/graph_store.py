@@ -20,7 +20,7 @@ from protocol.messages import ViewName
 
 Floats = npt.NDArray[np.floating]
 Key = tuple[str, str, int]
-_SCHEMA = 1
+_SCHEMA = 2
 _TABLES = (
     # view: encoded protocol.messages.View; in the order in which they became keyframes
     """CREATE TABLE keyframes (
@@ -33,6 +33,7 @@ _TABLES = (
         robot_b TEXT NOT NULL, epoch_b TEXT NOT NULL, seq_b INTEGER NOT NULL,
         kind TEXT NOT NULL, verdict TEXT NOT NULL, operator INTEGER NOT NULL,
         grown INTEGER NOT NULL, T_a_b BLOB NOT NULL, covariance BLOB NOT NULL,
+        p_grave REAL NOT NULL DEFAULT 1.0,
         PRIMARY KEY (robot_a, epoch_a, seq_a, robot_b, epoch_b, seq_b, kind)
     ) STRICT""",
     """CREATE TABLE gauge (
@@ -109,7 +110,7 @@ class GraphStore:
                     lost,
                 )
                 self._db.executemany(
-                    f"INSERT OR REPLACE INTO edges VALUES ({', '.join('?' * 12)})", put
+                    f"INSERT OR REPLACE INTO edges VALUES ({', '.join('?' * 13)})", put
                 )
                 if after.gauge != before.gauge:
                     self._db.execute("DELETE FROM gauge")
@@ -137,6 +138,11 @@ class GraphStore:
                 self._db.execute("BEGIN IMMEDIATE")
                 for table in _TABLES:
                     self._db.execute(table)
+                self._db.execute(f"PRAGMA user_version = {_SCHEMA}")
+        elif version == 1:  # edges without p_grave
+            with self._db:
+                self._db.execute("BEGIN IMMEDIATE")
+                self._db.execute("ALTER TABLE edges ADD COLUMN p_grave REAL NOT NULL DEFAULT 1.0")
                 self._db.execute(f"PRAGMA user_version = {_SCHEMA}")
         elif version != _SCHEMA:
             raise GraphStoreError(f"{self.path} has schema {version}, need {_SCHEMA}")
@@ -189,7 +195,7 @@ def _edge_key(key: EdgeKey) -> tuple[Any, ...]:
 def _edge_row(edge: Edge) -> tuple[Any, ...]:
     arrays = (np.ascontiguousarray(a, "<f8").tobytes() for a in (edge.T_a_b, edge.covariance))
     flags = int(edge.operator), int(edge.grown)
-    return (*_edge_key(edge.key), edge.verdict, *flags, *arrays)
+    return (*_edge_key(edge.key), edge.verdict, *flags, *arrays, edge.p_grave)
 
 
 def _edge(row: tuple[Any, ...]) -> Edge:
@@ -203,4 +209,5 @@ def _edge(row: tuple[Any, ...]) -> Edge:
         row[6],
         bool(row[8]),
         bool(row[9]),
+        *row[12:],  # a file of the first schema, read beside its server, has no p_grave
     )

@@ -92,8 +92,8 @@ def cells_of(names: list[str]) -> tuple[PairCell, ...]:
                     i=i, j=j, state="tried", verdict="verified", rmse_m=0.01 * b, overlap=0.5
                 )
             elif gap == 2:
-                verdict = "plausible" if a % 2 else "rejected"
-                cell = PairCell(i=i, j=j, state="tried", verdict=verdict, rmse_m=0.05 + 0.01 * b)
+                verdict, rmse_m = ("plausible", 0.05 + 0.01 * b) if a % 2 else ("rejected", None)
+                cell = PairCell(i=i, j=j, state="tried", verdict=verdict, rmse_m=rmse_m)
             elif gap == 3:
                 cell = PairCell(i=i, j=j, state="through_others")
             else:
@@ -128,9 +128,9 @@ def fleet(count: int = 6, n: int = 1, seq: int = 7, **changes) -> FleetState:
     return FleetState(**(fields | changes))
 
 
-def status(n: int = 1) -> ServerStatus:
+def status(n: int = 1, epoch: str = EPOCH) -> ServerStatus:
     return ServerStatus(
-        server_epoch=EPOCH,
+        server_epoch=epoch,
         uptime_s=0.2 * n,
         views=10 * n,
         alignments=n,

@@ -80,6 +80,7 @@ class FakeServer:
         self._stop = threading.Event()
         self.keys = Keys("demo")
         self.link = Link(open_session(SessionSettings(connect=(endpoint,))))
+        self.link.token(self.keys.server_alive(epoch))
         self._inbox: list[Sample] = []
         self._changed = threading.Condition()
         self.link.on_latched(self.keys.updates("*"), self._store)
@@ -152,7 +153,7 @@ class FakeServer:
             )
             counted = state.model_copy(update={"pairs": tuple(map(self._counted, state.pairs))})
             self._state.put(pack(counted), encoding_of(FleetState))
-            self._status.put(pack(status(n)), encoding_of(ServerStatus))
+            self._status.put(pack(status(n, self.epoch)), encoding_of(ServerStatus))
             if self.live:
                 for robot, publisher in self._images.items():
                     if publisher.wanted:

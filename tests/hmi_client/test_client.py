@@ -1,11 +1,14 @@
 """The client between a session and a fake server, over real zenoh."""
 
-from hmi_fakes import pose, view, wait_for
+from hmi_fakes import alignment, fleet, pose, view, wait_for
 
 from hmi_client.client import Client
 from hmi_client.session import OperatorSession
+from protocol.codec import encoding_of, pack
 from protocol.keys import Keys
 from protocol.transport import Link, SessionSettings, open_session
+
+LIAR = "f" * 12
 
 
 def ready(client_of, serve, **options):
@@ -111,6 +114,31 @@ def test_garbage_is_counted_and_harmless(client_of, serve):
     wait_for(lambda: client.drops["not msgpack"] == 1)
     n = session.fleet.n
     wait_for(lambda: session.fleet.n > n)
+
+
+def test_what_another_process_says_for_the_server_is_refused_counted_and_changes_nothing(
+    client_of, serve, router
+):
+    server, session, client = ready(client_of, serve)
+    wait_for(lambda: set(session.poses()) == {"r1", "r2", "r3", "r4", "r5"})
+    before = session.poses()["r1"].T_fleet_robot
+    other = Link(open_session(SessionSettings(connect=(router,), timeout_s=5.0)))
+    try:
+        for key, message in (
+            (server.keys.pose("r1"), pose("r1", 100.0, 0.0, n=10**6, server_epoch=LIAR)),
+            (server.keys.state, fleet(2, n=10**6, server_epoch=LIAR)),
+            (server.keys.alignment("r1", "r2"), alignment("r1", "r2", server_epoch=LIAR)),
+        ):
+            other.latched(key).put(pack(message), encoding_of(type(message)))
+        refused = "a {} of server _ that is not alive"
+        for kind in ("RobotPose", "FleetState", "Alignment"):
+            wait_for(lambda kind=kind: client.drops[refused.format(kind)] == 1)
+    finally:
+        other.close()
+    n = session.fleet.n
+    wait_for(lambda: session.fleet.n > n)
+    assert len(session.robots()) == 6 and ("r1", "r2") not in session.alignments("r1")
+    assert (session.poses()["r1"].T_fleet_robot == before).all()
 
 
 def test_operators_see_where_the_others_are_and_that_they_leave(client_of, serve):

@@ -2,6 +2,8 @@
 
 import pytest
 from hmi_fakes import fleet
+from hypothesis import given
+from hypothesis import strategies as st
 
 from hmi_client.matrix import (
     BOLD_SHARE,
@@ -9,9 +11,11 @@ from hmi_client.matrix import (
     QUANTITIES,
     THROUGH,
     UNTRIED,
+    doubt_text,
     length_text,
     matrix_of,
     natural,
+    percent_text,
     title_of,
 )
 from protocol.messages import PairCell
@@ -90,16 +94,52 @@ def test_lengths_carry_their_unit():
 
 @pytest.mark.parametrize("quantity", QUANTITIES)
 def test_every_quantity_says_what_the_cell_holds(quantity):
-    cell = tried("r1", "r2", 0.05, overlap=0.5, age_s=7.2, regression_error_m2=1.25)
+    cell = tried("r1", "r2", 0.05, overlap=0.5, age_s=7.2, regression_error_m2=1.25, p_grave=0.12)
     shown = matrix_of(fleet(4, pairs=(cell,)), 1.0, quantity).at("r1", "r2").text
     words = {"rms": "5.0", "regression": "1.2", "overlap": "50", "age": "7", "verdict": "veri"}
+    words["grave"] = "12"
     assert shown == words[quantity] and title_of(quantity, "cm")
 
 
+def texts_of(cell):
+    return [matrix_of(fleet(4, pairs=(cell,)), 1.0, q).at("r1", "r2").text for q in QUANTITIES]
+
+
 def test_only_errors_hide_behind_the_threshold():
-    cell = tried("r1", "r2", 5.0, verdict="rejected", overlap=0.25)
-    texts = [matrix_of(fleet(4, pairs=(cell,)), 1.0, q).at("r1", "r2").text for q in QUANTITIES]
-    assert texts == [HIDDEN, HIDDEN, "25", "0", "reje"]
+    cell = tried("r1", "r2", 5.0, verdict="plausible", overlap=0.25, p_grave=0.001)
+    assert texts_of(cell) == [HIDDEN, HIDDEN, "25", "0", "plau", "0.1"]
+
+
+def test_a_last_try_that_failed_has_a_hyphen_an_age_and_its_verdict():
+    failed = tried("r1", "r2", None, verdict="rejected", age_s=3.0)
+    assert texts_of(failed) == [HIDDEN, HIDDEN, HIDDEN, "3", "reje", HIDDEN]
+
+
+def test_where_more_than_one_pose_fits_the_verdict_says_how_many():
+    cell = tried("r1", "r2", 0.02, verdict="ambiguous", p_grave=0.5, rivals=2)
+    assert texts_of(cell)[QUANTITIES.index("verdict")] == "3 fit"
+
+
+@pytest.mark.parametrize(
+    ("known", "words"),
+    [
+        (("plausible", 0.12, 0), "plausible, 12 % likely to be gravely off"),
+        (("ambiguous", 0.4, 2), "ambiguous: 3 poses fit, 40 % likely to be gravely off"),
+        (("verified", 0.0004, 0), "verified, <0.1 % likely to be gravely off"),
+        (("verified", None, 0), "verified"),
+        (("rejected", 0.97, 1), "rejected"),
+    ],
+)
+def test_a_verdict_says_what_speaks_against_it(known, words):
+    assert doubt_text(*known) == words
+
+
+@given(share=st.floats(0.0, 1.0))
+def test_no_chance_is_rounded_to_never_or_to_sure(share):
+    text = percent_text(share)
+    assert (text == "0 %") == (share == 0.0) and (text == "100 %") == (share == 1.0)
+    if text[0] not in "<>":
+        assert abs(float(text.removesuffix(" %")) - 100 * share) <= 0.5
 
 
 def test_robots_of_one_component_without_a_cell_are_known_through_others():

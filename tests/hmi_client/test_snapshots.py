@@ -88,6 +88,17 @@ def suggested(session, _):
     session.on_fleet(fleet(6, n=2, questions=(question,)))
 
 
+def doubted(session, _):
+    """Each pair more doubtful than the one before; of the first two poses fit."""
+    first, *others = (
+        cell.model_copy(update={"p_grave": 0.5 / 2**k}) if cell.rmse_m is not None else cell
+        for k, cell in enumerate(fleet(6).pairs)
+    )
+    ambiguous = first.model_copy(update={"verdict": "ambiguous", "rivals": 1})
+    session.on_fleet(fleet(6, n=2, pairs=(ambiguous, *others)))
+    session.select("r1", "r2")
+
+
 def unreadable(session, _):
     session.on_unreadable("r1", "these bytes are no JPEG", view("r1"))
 
@@ -110,6 +121,7 @@ STATES = {
     "unreadable-image": State(images=True, change=unreadable),
     "maximised": State(images=True, keys=("m",)),
     "overlap-in-the-matrix": State(keys=("t", "t")),
+    "doubt-in-the-matrix": State(change=doubted, keys=("t",) * 5),
     "help": State(keys=("question_mark",)),
     "events": State(keys=("l",)),
     "why": State(images=True, keys=("y",)),

@@ -40,8 +40,8 @@ def same(a: Graph, b: Graph) -> bool:
         and all(
             np.array_equal(e.T_a_b, b.edges[key].T_a_b)
             and np.array_equal(e.covariance, b.edges[key].covariance)
-            and (e.verdict, e.operator, e.grown)
-            == (b.edges[key].verdict, b.edges[key].operator, b.edges[key].grown)
+            and (e.verdict, e.operator, e.grown, e.p_grave)
+            == tuple(getattr(b.edges[key], k) for k in ("verdict", "operator", "grown", "p_grave"))
             for key, e in a.edges.items()
         )
     )
@@ -49,7 +49,7 @@ def same(a: Graph, b: Graph) -> bool:
 
 def test_a_graph_is_there_again_and_only_changes_are_written(tmp_path):
     path = tmp_path / "state" / "graph.sqlite3"
-    first = graph(4, verdict="plausible", operator=True)
+    first = graph(4, verdict="plausible", operator=True, p_grave=0.25)
     store = GraphStore(path)
     store.write(Graph(), first)
     assert same(store.read(), first) and same(read_graph(path), first)
@@ -118,3 +118,23 @@ def test_a_graph_of_another_version_is_refused(tmp_path):
     store.close()
     with pytest.raises(GraphStoreError, match="schema 7"):
         GraphStore(tmp_path / "graph.sqlite3")
+
+
+def test_a_file_of_the_first_schema_is_read_and_brought_to_the_second(tmp_path):
+    path, before = tmp_path / "graph.sqlite3", graph(3, p_grave=0.25)
+    store = GraphStore(path)
+    store.write(Graph(), before)
+    store._db.execute("ALTER TABLE edges DROP COLUMN p_grave")
+    store._db.execute("PRAGMA user_version = 1")
+    store.close()
+    unknown = Graph(
+        before.keyframes,
+        {key: replace(e, p_grave=1.0) for key, e in before.edges.items()},
+        before.gauge,
+    )
+    assert same(read_graph(path), unknown)
+    store = GraphStore(path)
+    assert same(store.read(), unknown)
+    store.write(unknown, before)
+    store.close()
+    assert same(read_graph(path), before)

@@ -80,6 +80,7 @@ POSE = m.RobotPose(
     errors=(m.PairError(other="r2", rmse_m=0.02, verdict="plausible"),),
     server_epoch=EPOCH,
     n=7,
+    why_not="its position is known to 8 % of the depth, need 5 %",
 )
 CORRESPONDENCE = m.Correspondence(
     id=4,
@@ -93,7 +94,9 @@ CORRESPONDENCE = m.Correspondence(
     residual_px=0.8,
     revision=2,
 )
-CELL = m.PairCell(i="r1", j="r2", state="tried", verdict="rejected", rmse_m=0.5)
+CELL = m.PairCell(
+    i="r1", j="r2", state="tried", verdict="rejected", rmse_m=0.5, p_grave=0.25, rivals=2
+)
 SUGGESTION = m.Suggestion(pixel_i=PIXEL, pixel_j=np.array([30.0, 8.5]))
 QUESTION = m.Question(
     i="r1",
@@ -215,6 +218,23 @@ EXAMPLES = {
             stage_ms={"solve": 5.5},
             picked="r1 - r2: may join two components",
         ),
-        m.RelativePose(a="r1", b="r2", T_a_b=T, covariance=COVARIANCE, age_s=0.1, through=("r3",)),
+        m.RelativePose(
+            a="r1",
+            b="r2",
+            T_a_b=T,
+            covariance=COVARIANCE,
+            age_s=0.1,
+            through=("r3",),
+            verdict="plausible",
+            located=True,
+            p_grave=0.125,
+            why_not="r2: its newest view is 7 s old",
+        ),
+        m.WhyNot(
+            robot="r1",
+            located=False,
+            why_not="its token is gone",
+            alarms=("r1's depths are 5 % too long",),
+        ),
     )
 }

@@ -9,8 +9,22 @@ from protocol.errors import CodecError
 from tests.protocol import golden
 from tests.protocol.message_examples import DEPTH_M, EXAMPLES, SCATTERED_UVZ
 
-BARE_QUESTION = EXAMPLES[m.Question].model_dump() | {"suggestions": ()}
+BARE_CELL = {"p_grave": None, "rivals": 0}
+BARE_POSE = EXAMPLES[m.RobotPose].model_dump() | {"why_not": ""}
 ADDED = {
+    "fleet.pose.v1": {"why_not": ""},
+    "fleet.robot_state.v1": {"pose": BARE_POSE},
+    "fleet.pair_cell.v1": BARE_CELL,
+    "fleet.state.v5": {
+        "robots": (EXAMPLES[m.RobotState].model_dump() | {"pose": BARE_POSE},),
+        "pairs": (EXAMPLES[m.PairCell].model_dump() | BARE_CELL,),
+    },
+    "fleet.relative_pose.v1": {
+        "verdict": "ambiguous",
+        "located": False,
+        "p_grave": 1.0,
+        "why_not": "",
+    },
     "fleet.question.v1": {"suggestions": ()},
     "fleet.status.v1": {"waiting": {}, "wait_share": 0.0, "stage_ms": {}, "picked": ""},
 }

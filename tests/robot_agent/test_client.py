@@ -65,6 +65,16 @@ def robot(router):
         yield opened
 
 
+def pose_publisher(link, robot="r1", epoch="0" * 12):
+    """A server's, whose token is there."""
+    link.token(KEYS.server_alive(epoch))
+    return link.latched(KEYS.pose(robot))
+
+
+def publish(publisher, pose):
+    publisher.put(pack(pose), encoding_of(RobotPose))
+
+
 def next_view(slots):
     sample = slots.take(10)
     assert sample is not None
@@ -212,7 +222,7 @@ def test_odometry_is_latched(robot, link):
 def test_the_newest_pose_comes_back_and_goes_stale(robot, link):
     assert robot.pose() is None
     assert robot.age_s("r1") is None
-    publisher = link.latched(KEYS.pose("r1"))
+    publisher = pose_publisher(link)
     publisher.put(pack(pose_message(n=5)), encoding_of(RobotPose))
     assert wait_until(lambda: robot.pose() is not None, 5)
     assert robot.pose().n == 5
@@ -223,13 +233,14 @@ def test_the_newest_pose_comes_back_and_goes_stale(robot, link):
     assert wait_until(lambda: robot.poses() and robot.drops == {"not msgpack": 1}, 5)
     assert robot.pose().n == 5
     expired = pose_message(n=0, server_epoch="1" * 12, valid_for_s=-0.1)
+    link.token(KEYS.server_alive("1" * 12))
     publisher.put(pack(expired), encoding_of(RobotPose))  # a new server counts from 0
     assert wait_until(lambda: robot.pose().server_epoch == "1" * 12, 5)
     assert robot.is_stale(robot.pose())
 
 
 def test_poses_of_the_others_come_as_well(robot, link):
-    publisher = link.latched(KEYS.pose("r2"))
+    publisher = pose_publisher(link, "r2")
     publisher.put(pack(pose_message(robot="r2", x_m=3.0)), encoding_of(RobotPose))
     assert wait_until(lambda: "r2" in robot.poses(), 5)
     assert robot.poses()["r2"].T_fleet_robot[0, 3] == 3.0
