@@ -9,6 +9,7 @@ import typer
 
 from evaluation import live
 from evaluation.options import Clouds, Data, Out
+from evaluation.options import numbers as _numbers
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, rich_markup_mode=None)
 app.add_typer(live.app)
@@ -313,23 +314,6 @@ def wire(
     from evaluation.wire import run
 
     run(data, clouds.value if clouds else None, out, views)
-
-
-def _numbers(option: str, text: str, count: int | None = None) -> list[int]:
-    """Whole numbers with commas between them.
-
-    Raises:
-        FleetPoseError: it is something else, or another count.
-    """
-    from protocol.errors import FleetPoseError
-
-    try:
-        numbers = [int(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if not numbers or (count is not None and len(numbers) != count):
-        raise FleetPoseError(f"{option} {text!r}: write numbers like 0,3 or 40,90")
-    return numbers
 
 
 def main() -> None:

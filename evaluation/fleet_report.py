@@ -1,6 +1,6 @@
 """The results of `pose-eval fleet`: summary, samples, map and table."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,6 +51,7 @@ class FleetResult:
     started_s: float
     median_depth_m: float
     rgbd: bool
+    together: Collection[str]
     leftover_processes: int
 
 
@@ -76,7 +77,8 @@ def summarize(result: FleetResult) -> dict[str, Any]:
     robots, counts, since_s = len(result.robots), observer.located_counts, result.started_s
     clicks_ms = [] if operator is None else [1e3 * s for s in operator.click_to_pose_s]
     views_ms = [1e3 * s for s in observer.view_to_pose_s]
-    poses = summarize_poses(result.rows, Limits.of(result.median_depth_m, result.rgbd))
+    limits = Limits.of(result.median_depth_m, result.rgbd)
+    poses = summarize_poses(result.rows, limits, result.together)
     return {
         **poses,
         "median_depth_m": result.median_depth_m,

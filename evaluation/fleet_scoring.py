@@ -1,6 +1,6 @@
 """From the poses that a fleet published to the numbers of `pose-eval fleet`: pure functions."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,10 +101,17 @@ def _scored(time_s: float, robot: str, is_anchor: bool, pose: PoseNow, gauge: Po
     )
 
 
-def summarize_poses(rows: Sequence[SampleRow], limits: Limits) -> dict[str, Any]:
+def summarize_poses(
+    rows: Sequence[SampleRow], limits: Limits, together: Collection[str] = ()
+) -> dict[str, Any]:
     """Located robots, errors and calibration over all samples.
 
     The anchor has no error by definition: it counts as located, but not in the mean of the errors.
+
+    Args:
+        rows: of all samples.
+        limits: what is grave.
+        together: the robots whose true views show something that another's shows as well.
     """
     by_robot: dict[str, list[SampleRow]] = {}
     for row in rows:
@@ -124,8 +131,12 @@ def summarize_poses(rows: Sequence[SampleRow], limits: Limits) -> dict[str, Any]
         "position_error_mean_m": _mean([_mean(own) for own in errors]),
         "position_error_max_m": max((max(own) for own in errors), default=None),
         "position_error_aligned_m": _aligned(rows, set(located)),
-        "grave_located": sum(_grave(row, limits) for row in rows if row.located),
-        "grave_acted": sum(_grave(row, limits) for row in rows if row.located and row.verified),
+        "grave_located": sum(is_grave(row, limits) for row in rows),
+        "grave_acted": sum(is_grave(row, limits) for row in rows if row.verified),
+        "robots_seen_together": len(together),
+        "located_right": share(
+            row.located and not is_grave(row, limits) for row in rows if row.robot in together
+        ),
         "samples": len({row.time_s for row in rows}),
         "nees_per_dof": _mean([value / 6.0 for value in surprises]),
         "nees_per_dof_median": percentile(np.asarray(surprises) / 6.0, 50),
@@ -133,8 +144,9 @@ def summarize_poses(rows: Sequence[SampleRow], limits: Limits) -> dict[str, Any]
     }
 
 
-def _grave(row: SampleRow, limits: Limits) -> bool:
-    if row.position_error_m is None or row.rotation_error_deg is None:
+def is_grave(row: SampleRow, limits: Limits) -> bool:
+    """Whether a robot is located and gravely off."""
+    if not row.located or row.position_error_m is None or row.rotation_error_deg is None:
         return False
     return limits.grave(row.position_error_m, row.rotation_error_deg)
 

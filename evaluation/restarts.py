@@ -18,7 +18,6 @@ from evaluation.datasets import CloudKind, open_recording
 from evaluation.fleet import (
     FleetOptions,
     open_link,
-    parts_of,
     plan_fleet,
     poses_now,
     start,
@@ -28,6 +27,7 @@ from evaluation.fleet_scoring import SampleRow, score_sample
 from evaluation.geometry import Floats, inverse, se3_log
 from evaluation.intervals import DRAWS, LEVEL
 from evaluation.observer import Observer
+from evaluation.parts import parts_of
 from evaluation.report import (
     new_figure,
     output_folder,

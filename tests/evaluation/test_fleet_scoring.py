@@ -138,3 +138,17 @@ def test_a_consumer_that_drops_unverified_poses_acts_on_no_grave_one_of_these():
         poses["b"] = replace(poses["b"], verified=verified)
         summary = summarize_poses(score_sample(1.0, NAMES, poses, "a"), LIMITS)
         assert (summary["grave_located"], summary["grave_acted"]) == (1, acted)
+
+
+def test_located_right_is_a_share_of_the_samples_of_robots_that_are_seen_together():
+    rows = []
+    for k in range(4):
+        poses = fleet((9.0, 0.0, 0.0))  # b is gravely off
+        if k == 0:
+            del poses["c"]
+        rows += score_sample(float(k), NAMES, poses, "a")
+    summary = summarize_poses(rows, LIMITS, {"b", "c"})
+    assert summary["grave_located"] == 4
+    assert summary["robots_seen_together"] == 2
+    assert summary["located_right"] == pytest.approx(3 / 8)
+    assert summarize_poses(rows, LIMITS)["located_right"] is None
