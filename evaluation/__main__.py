@@ -221,12 +221,13 @@ def questions(
     first: Annotated[int, typer.Option(min=0, help="The first seed.")] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
 ) -> None:
-    """Count clicks until the whole fleet is located: by the server's questions, by the paper's rule
-    (the largest error of the matrix first), by chance, and at least.
+    """Count clicks until the whole fleet is located and right: by the server's questions, by the
+    paper's rule (the largest error of the matrix first), by chance, and at least.
 
     Each seed draws 8 to 12 views as robots that fall into several parts after all pairs were
-    aligned automatically. A simulated operator clicks three points per question, 1.5 px off; two
-    images with too little in common cost two clicks. Writes runs.csv, summary.json and clicks.png.
+    aligned automatically, or that are joined wrongly. A simulated operator clicks three points per
+    question, 1.5 px off; two images with too little in common cost two clicks. Writes runs.csv,
+    summary.json and clicks.png.
     """
     from evaluation.questions.command import QuestionsOptions, run
 

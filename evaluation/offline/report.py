@@ -1,6 +1,6 @@
 """What the fleets come to: a line for each folder, the worst first, and all of them together."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -8,21 +8,10 @@ from typing import Any
 import numpy as np
 
 from evaluation.offline.fleet import Fleet, Placed
-from evaluation.report import print_table, write_csv, write_summary
+from evaluation.report import write_csv, write_summary
 from evaluation.scoring import share
 
 COLUMNS = ("data", *(field.name for field in fields(Placed)))
-SHOWN = {
-    "fleets": "fleets",
-    "robots": "robots",
-    "grave_located": "grave",
-    "robots_seen_together": "together",
-    "located_right": "right",
-    "located": "located",
-    "position_error_max_m": "max m",
-    "unfinished": "unfinished",
-}
-"""Keys of the summary that a line shows, and their headings."""
 
 
 def summarize(fleets: Sequence[Fleet]) -> dict[str, Any]:
@@ -63,6 +52,20 @@ def worst_first(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     )
 
 
+def line_of(name: str, line: Mapping[str, Any]) -> str:
+    """A summary as one line."""
+    return (
+        f"{name}: {line['grave_located']} located and gravely off; "
+        f"of {line['robots_seen_together']} seen together {_percent(line['located_right'])} "
+        f"located right; {_percent(line['located'])} of {line['robots']} robots in "
+        f"{line['fleets']} fleets located, {line['unfinished']} fleets unfinished"
+    )
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1%}"
+
+
 def write_results(out: Path, found: Sequence[tuple[Path, list[Fleet]]]) -> dict[str, Any]:
     """Writes summary.json and robots.csv; prints a line for each folder. Returns the summary."""
     rows = [
@@ -75,20 +78,21 @@ def write_results(out: Path, found: Sequence[tuple[Path, list[Fleet]]]) -> dict[
     summary = {
         **summarize([fleet for _, fleets in found for fleet in fleets]),
         "folders": worst_first(lines),
-        "grave": [_told(row) for row in rows if row["grave"]],
+        "grave": [_grave_one(row) for row in rows if row["grave"]],
     }
     write_summary(out, summary)
     write_csv(out / "robots.csv", COLUMNS, rows)
-    shown = [*summary["folders"], *([{"data": "all", **summary}] if len(lines) > 1 else [])]
-    table = [[Path(line["data"]).name, *(line[key] for key in SHOWN)] for line in shown]
-    print_table("fleets without clicks, the worst first", ("", *SHOWN.values()), table)
-    if summary["grave"]:
-        columns = tuple(summary["grave"][0])
-        grave = [tuple(row.values()) for row in summary["grave"]]
-        print_table("located and gravely off", columns, grave)
+    for line in summary["folders"]:
+        print(line_of(Path(line["data"]).name, line))
+    if len(lines) > 1:
+        print(line_of("all", summary))
+    for one in summary["grave"]:
+        place = f"{Path(one['data']).name}, seed {one['seed']}, view {one['view']}"
+        off = f"{one['position_error_m']:.4g} m and {one['rotation_error_deg']:.3g} deg off"
+        print(f"  located and gravely off: {place}: {off}, {one['verdict']}")
     return summary
 
 
-def _told(row: dict[str, Any]) -> dict[str, Any]:
+def _grave_one(row: dict[str, Any]) -> dict[str, Any]:
     told = ("data", "seed", "view", "position_error_m", "rotation_error_deg", "verdict")
     return {key: row[key] for key in told}
