@@ -126,6 +126,9 @@ def run(options: FleetOptions, out: Path) -> dict[str, Any]:
                 if operator is not None:
                     operator.start()
                 _watch(fleet, observer, plan, started_s, options.seconds, watch)
+                if operator is not None:
+                    operator.finish()
+                unanswered_s = [] if operator is None else operator.unanswered_s()
             finally:
                 if operator is not None:
                     operator.close()
@@ -136,6 +139,7 @@ def run(options: FleetOptions, out: Path) -> dict[str, Any]:
             rows=watch.rows,
             observer=observer,
             operator=operator,
+            unanswered_s=unanswered_s,
             memory=watch.memory,
             started_s=started_s,
             median_depth_m=plan.truth.median_depth_m(observer.newest_views()),

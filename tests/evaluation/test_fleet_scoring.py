@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from evaluation.fleet_report import latencies
 from evaluation.fleet_scoring import PoseNow, SampleRow, score_sample, summarize_poses
 from evaluation.geometry import inverse
 from evaluation.observer import first_time_located
@@ -152,3 +153,13 @@ def test_located_right_is_a_share_of_the_samples_of_robots_that_are_seen_togethe
     assert summary["robots_seen_together"] == 2
     assert summary["located_right"] == pytest.approx(3 / 8)
     assert summarize_poses(rows, LIMITS)["located_right"] is None
+
+
+def test_a_click_that_led_to_no_pose_took_for_ever():
+    found = latencies([0.1] * 18 + [31.0], [45.0], [0.2], [])
+    assert found["click_to_pose_ms_p50"] == pytest.approx(100.0)
+    assert found["click_to_pose_ms_p95"] == float("inf")
+    assert found["clicks_late"] == 2 and found["clicks_unanswered_s"] == [45.0]
+    assert found["view_to_pose_ms_p95"] == pytest.approx(200.0)
+    assert found["moving_view_to_pose_ms_p95"] is None
+    assert latencies([], [], [], [])["click_to_pose_ms_p95"] is None
