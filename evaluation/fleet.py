@@ -18,6 +18,7 @@ from evaluation.observer import Observer
 from evaluation.operator import SimulatedOperator
 from evaluation.parts import parts_of
 from evaluation.report import output_folder, progress_bar
+from evaluation.scoring import RGBD_REFERENCE_SIGMA_M
 from evaluation.strip import StrippedFolder, distinct_names, strip
 from evaluation.together import paired_up
 from evaluation.truth import RecordedTruth, Truth, WorldTruth
@@ -377,7 +378,8 @@ def _watch(
             if second >= FIRST_SAMPLE_S:
                 anchor = None if observer.state is None else observer.state.anchor
                 now = poses_now(observer, plan.truth)
-                watch.rows += score_sample(float(second), plan.names, now, anchor)
+                noise_m = RGBD_REFERENCE_SIGMA_M if plan.truth.rgbd else 0.0
+                watch.rows += score_sample(float(second), plan.names, now, anchor, noise_m)
             progress.update(task, completed=second, description=_doing(observer, plan))
 
 

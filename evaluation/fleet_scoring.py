@@ -16,6 +16,7 @@ from evaluation.scoring import (
     position_error_m,
     rotation_error_deg,
     share,
+    with_reference,
 )
 
 LOCATED_SHARE = 0.9
@@ -52,12 +53,16 @@ class SampleRow:
 
 
 def score_sample(
-    time_s: float, robots: Sequence[str], poses: Mapping[str, PoseNow], anchor: str | None
+    time_s: float,
+    robots: Sequence[str],
+    poses: Mapping[str, PoseNow],
+    anchor: str | None,
+    reference_sigma_m: float = 0.0,
 ) -> list[SampleRow]:
     """Compares the newest poses with the truth, the anchor as gauge.
 
     The anchor's own true pose places the fleet frame in the world; every other robot of its
-    component is off by what remains.
+    component is off by what remains. The truth's own noise is added to what covariances allow.
     """
     gauge = poses.get(anchor) if anchor else None
     rows = []
@@ -79,11 +84,20 @@ def score_sample(
                 )
             )
         else:
-            rows.append(_scored(time_s, robot, robot == anchor, pose, gauge))
+            row = _scored(time_s, robot, robot == anchor, pose, gauge, reference_sigma_m)
+            rows.append(row)
     return rows
 
 
-def _scored(time_s: float, robot: str, is_anchor: bool, pose: PoseNow, gauge: PoseNow) -> SampleRow:
+def _scored(
+    time_s: float,
+    robot: str,
+    is_anchor: bool,
+    pose: PoseNow,
+    gauge: PoseNow,
+    reference_sigma_m: float,
+) -> SampleRow:
+    allowed = with_reference(pose.covariance, reference_sigma_m)
     T_fleet_world = gauge.T_fleet_robot @ inverse(gauge.T_world_robot)
     T_true = T_fleet_world @ pose.T_world_robot
     return SampleRow(
@@ -96,7 +110,7 @@ def _scored(time_s: float, robot: str, is_anchor: bool, pose: PoseNow, gauge: Po
         T_world_robot=pose.T_world_robot,
         position_error_m=position_error_m(T_true, pose.T_fleet_robot),
         rotation_error_deg=rotation_error_deg(T_true, pose.T_fleet_robot),
-        nees=None if is_anchor else nees(T_true, pose.T_fleet_robot, pose.covariance),
+        nees=None if is_anchor else nees(T_true, pose.T_fleet_robot, allowed),
         verified=pose.verified,
     )
 
@@ -141,6 +155,7 @@ def summarize_poses(
         "nees_per_dof": _mean([value / 6.0 for value in surprises]),
         "nees_per_dof_median": percentile(np.asarray(surprises) / 6.0, 50),
         "coverage_95": share(value <= CHI2_6_95 for value in surprises),
+        "reference_sigma_m": limits.reference_sigma_m,
     }
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evaluation.datasets import CloudKind, Recording, median_depth_m, open_recording
+from evaluation.datasets import CloudKind, Recording, median_depth_m, open_recordings
 from evaluation.offline.fleet import Fleet, Task, draw_views, play
 from evaluation.offline.report import write_results
 from evaluation.parts import checked_views
@@ -41,7 +41,7 @@ def run(options: OfflineOptions, out: Path) -> dict[str, Any]:
     """
     if not options.data:
         raise DataFolderError("--offline needs recorded views: give --data DIR, again for more")
-    recordings = [open_recording(data, options.clouds) for data in options.data]
+    recordings = open_recordings(options.data, options.clouds)
     draws = [_draws(options, recording) for recording in recordings]
     output_folder(out)
     found: list[tuple[Path, list[Fleet]]] = []

@@ -2,7 +2,7 @@
 
 import hashlib
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -44,6 +44,10 @@ class Task:
     seed: int
     views: tuple[int, ...]
     limits: Limits
+
+    def views_of(self, server: OfflineServer) -> dict[str, TrueView]:
+        """The true views of the robots, by name."""
+        return {name: self.recording.view(index) for name, index in server.views.items()}
 
 
 @dataclass(frozen=True)
@@ -112,12 +116,10 @@ def draw_views(recording: Recording, robots: int | None, seed: int) -> tuple[int
 
 def play(task: Task) -> Fleet:
     """Runs a fleet until nothing is left to align, and scores it."""
-    wires = {index: task.wires[index] for index in task.views}
-    server = OfflineServer(wires, remembering(next(iter(wires.values())).parent))
-    finished = server.settle(MOST_JOBS_PER_PAIR * max(len(wires) * (len(wires) - 1) // 2, 1))
-    views = {name: task.recording.views[index] for name, index in server.views.items()}
+    server, finished = put_together(task)
+    views = task.views_of(server)
     together = _sights(task.recording.directory, task.recording.clouds).together(views.values())
-    rows = _scored(server, views)
+    rows = scored(server, views, task.limits)
     why_not = {row.robot: server.why_not(row.robot) for row in rows}
     verdicts = {name: pose.verdict for name, pose in server.poses().items()}
     robots = tuple(
@@ -138,7 +140,7 @@ def play(task: Task) -> Fleet:
     return Fleet(robots, _explained(server), len(server.components), finished)
 
 
-def _scored(server: OfflineServer, views: dict[str, TrueView]) -> list[SampleRow]:
+def scored(server: OfflineServer, views: Mapping[str, TrueView], limits: Limits) -> list[SampleRow]:
     """Every robot's published pose beside the truth, the anchor as gauge, as in live runs."""
     poses = {
         name: PoseNow(
@@ -151,7 +153,14 @@ def _scored(server: OfflineServer, views: dict[str, TrueView]) -> list[SampleRow
         )
         for name, pose in server.poses().items()
     }
-    return score_sample(0.0, list(views), poses, server.site.anchor)
+    return score_sample(0.0, list(views), poses, server.site.anchor, limits.reference_sigma_m)
+
+
+def put_together(task: Task) -> tuple[OfflineServer, bool]:
+    """The server of a task's fleet when nothing is left to align; whether that came to pass."""
+    wires = {index: task.wires[index] for index in task.views}
+    server = OfflineServer(wires, remembering(next(iter(wires.values())).parent))
+    return server, server.settle(MOST_JOBS_PER_PAIR * max(len(wires) * (len(wires) - 1) // 2, 1))
 
 
 def _explained(server: OfflineServer) -> tuple[float, ...]:

@@ -221,7 +221,7 @@ def _gravely_off(task: Task, server: FleetServer) -> list[str]:
     anchor = server.site.anchor
     if anchor is None or anchor not in placed:
         return []
-    views = {name: task.recording.views[server.views[name]] for name in placed}
+    views = {name: task.recording.view(server.views[name]) for name in placed}
     grave = []
     for name, T_fleet_camera in placed.items():
         T = inverse(placed[anchor]) @ T_fleet_camera
@@ -239,7 +239,7 @@ def clicks_in(task: Task, views: tuple[int, int], visit: int) -> list[tuple[Floa
     seen = (kept(task.wires[i]), kept(task.wires[j]))
     sizes = tuple((view.camera.width, view.camera.height) for view in seen)
     rng = np.random.default_rng((task.seed, *sorted(views)))
-    true = true_pixels(task.recording, task.recording.views[i], task.recording.views[j])
+    true = true_pixels(task.recording, task.recording.view(i), task.recording.view(j))
     wanted = CLICKS * (visit + 1)
     made = right_clicks(true, wanted, rng, (sizes[0], sizes[1]), takes(seen))
     if len(made) < wanted:
@@ -254,7 +254,7 @@ def judged_suggestions(task: Task, server: FleetServer) -> list[tuple[int, bool]
     judged = []
     for rank, question in enumerate(questions(server.site)):
         i, j = (
-            task.recording.views[server.views[name.robot]]
+            task.recording.view(server.views[name.robot])
             for name in (question.view_i, question.view_j)
         )
         T_j_i = inverse(j.T_world_camera) @ i.T_world_camera
