@@ -9,6 +9,7 @@ import typer
 
 from evaluation import live
 from evaluation.options import Clouds, Data, Out, Unique, World
+from evaluation.options import numbers as _numbers
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, rich_markup_mode=None)
 app.add_typer(live.app)
@@ -243,12 +244,13 @@ def questions(
     first: Annotated[int, typer.Option(min=0, help="The first seed.")] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
 ) -> None:
-    """Count clicks until the whole fleet is located: by the server's questions, by the paper's rule
-    (the largest error of the matrix first), by chance, and at least.
+    """Count clicks until the whole fleet is located and right: by the server's questions, by the
+    paper's rule (the largest error of the matrix first), by chance, and at least.
 
     Each seed draws 8 to 12 views as robots that fall into several parts after all pairs were
-    aligned automatically. A simulated operator clicks three points per question, 1.5 px off; two
-    images with too little in common cost two clicks. Writes runs.csv, summary.json and clicks.png.
+    aligned automatically, or that are joined wrongly. A simulated operator clicks three points per
+    question, 1.5 px off; two images with too little in common cost two clicks. Writes runs.csv,
+    summary.json and clicks.png.
     """
     from evaluation.questions.command import QuestionsOptions, run
 
@@ -336,23 +338,6 @@ def wire(
     from evaluation.wire import run
 
     run(data, clouds.value if clouds else None, out, views)
-
-
-def _numbers(option: str, text: str, count: int | None = None) -> list[int]:
-    """Whole numbers with commas between them.
-
-    Raises:
-        FleetPoseError: it is something else, or another count.
-    """
-    from protocol.errors import FleetPoseError
-
-    try:
-        numbers = [int(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if not numbers or (count is not None and len(numbers) != count):
-        raise FleetPoseError(f"{option} {text!r}: write numbers like 0,3 or 40,90")
-    return numbers
 
 
 def main() -> None:

@@ -11,21 +11,24 @@ import numpy as np
 
 from evaluation.geometry import Floats
 from evaluation.pair_worker import CACHED_VIEWS, of_wide, widen
-from evaluation.peers import PEERS, Peer, PeerMissingError
+from evaluation.peers import PEERS, Peer, PeerMissingError, Sight
+from evaluation.strip import StrippedFolder
 
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
 class Timed:
-    """One answer.
+    """One answer. Each method has one run of a pair before the one that counts for it: libraries
+    are loaded then, trees are made, and caches filled.
 
     Attributes:
-        T_i_j: (4, 4) camera j in camera i, metres; none where there is no answer.
-        pair_ms: of a pair whose views have been used before.
+        T_i_j: (4, 4) camera j in camera i, metres, of the second run; none where there is no
+            answer.
+        pair_ms: of the second run: the views have been used before.
         pair_cpu_ms: the same, as the time of all cores together: it says what the work costs where
             others share the machine.
-        whole_ms: of the same pair with all the work on both views.
+        whole_ms: of the first run with all the work on both views.
     """
 
     T_i_j: Floats | None
@@ -93,7 +96,7 @@ def align_peers(wire_i: Path, wire_j: Path, scale: float, names: Sequence[str]) 
 
     Args:
         names: which.
-        wire_i, wire_j: what the robots sent; peers get all points of it.
+        wire_i, wire_j: what the robots sent; peers get all points of it, and the images.
         scale: what lengths are multiplied with for the peers.
     """
     return {peer.name: _align(peer, wire_i, wire_j, scale) for peer in PEERS if peer.name in names}
@@ -102,25 +105,31 @@ def align_peers(wire_i: Path, wire_j: Path, scale: float, names: Sequence[str]) 
 def _align(peer: Peer, wire_i: Path, wire_j: Path, scale: float) -> Timed:
     i, i_ms = _prepared(peer.prepare, wire_i, scale)
     j, j_ms = _prepared(peer.prepare, wire_j, scale)
+    _, first_ms, _ = _timed(lambda: peer.align(i, j))
     T_i_j, pair_ms, pair_cpu_ms = _timed(lambda: peer.align(i, j))
     T_i_j[:3, 3] /= scale
     answer = T_i_j if np.isfinite(T_i_j).all() else None
-    return Timed(answer, pair_ms, pair_cpu_ms, i_ms + j_ms + pair_ms)
+    return Timed(answer, pair_ms, pair_cpu_ms, i_ms + j_ms + first_ms)
 
 
 @lru_cache(maxsize=2 * CACHED_VIEWS)
-def _prepared(prepare: Callable[[Floats], Any], wire: Path, scale: float) -> tuple[Any, float]:
-    points = scale * _points(wire)
-    view, view_ms, _ = _timed(lambda: prepare(points))
+def _prepared(prepare: Callable[[Sight], Any], wire: Path, scale: float) -> tuple[Any, float]:
+    sight = _sight(wire, scale)
+    view, view_ms, _ = _timed(lambda: prepare(sight))
     return view, view_ms
 
 
-def _points(wire: Path) -> Floats:
+def _sight(wire: Path, scale: float) -> Sight:
+    """The points that a robot sent, and the image that it had, from its stripped folder beside."""
     from protocol import codec
     from protocol.clouds import points_of
     from protocol.messages import View
+    from robot_agent.cameras.factory import open_camera
 
-    return points_of(codec.unpack(View, wire.read_bytes())).xyz
+    folder = StrippedFolder(wire.with_suffix(""), ())
+    frame = next(iter(open_camera(folder.camera, str(folder.path), "once").frames()))
+    cloud = points_of(codec.unpack(View, wire.read_bytes()))
+    return Sight(scale * cloud.xyz, np.asarray(cloud.uv, np.float64), frame.image)
 
 
 def _timed(work: Callable[[], Result]) -> tuple[Result, float, float]:

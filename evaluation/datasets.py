@@ -5,6 +5,7 @@ Camera frames have OpenCV axes; `T_world_camera` maps camera points to the world
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -74,6 +75,10 @@ class Recording:
         """The views that have a cloud."""
         return tuple(view for view in self.views if view.cloud is not None)
 
+    def view(self, index: int) -> TrueView:
+        """A view by its index, which is not its place where frames without truth are left out."""
+        return next(view for view in self.views if view.index == index)
+
     def tracks(self, view: TrueView) -> tuple[npt.NDArray[np.int64], Floats] | None:
         """Track ids (N,) and pixels (N, 2) of a view's points in `sparse/`, whatever the clouds."""
         return None if self.is_rgbd else _tracks(self.directory / "sparse" / _npz(view.name))
@@ -107,6 +112,20 @@ def open_recording(directory: Path, clouds: CloudKind | None = None) -> Recordin
         f"{directory} is no recording: it holds neither cameras.json (posed views) nor "
         "camera-intrinsics.txt (RGB-D frames)"
     )
+
+
+def open_recordings(directories: Sequence[Path], clouds: CloudKind | None) -> list[Recording]:
+    """Opens folders of both kinds: the clouds are those of the folders with posed views.
+
+    Raises:
+        DataFolderError: one is no recording, or the only one has no such clouds to choose.
+    """
+
+    def kind(directory: Path) -> CloudKind | None:
+        posed = (directory / "cameras.json").is_file()
+        return clouds if posed or len(directories) == 1 else None
+
+    return [open_recording(directory, kind(directory)) for directory in directories]
 
 
 def points_of(view: TrueView) -> tuple[Floats, Floats]:

@@ -10,14 +10,17 @@ from typing import Any
 
 from deploy.local_fleet import LocalFleet, wait_running
 from evaluation import load
-from evaluation.datasets import CloudKind, Recording, TrueView, in_ring_order, open_recording
+from evaluation.datasets import CloudKind, open_recording
 from evaluation.fleet_report import FleetResult, write_results
 from evaluation.fleet_scoring import PoseNow, SampleRow, score_sample
 from evaluation.memory import Memory
 from evaluation.observer import Observer
 from evaluation.operator import SimulatedOperator
+from evaluation.parts import parts_of
 from evaluation.report import output_folder, progress_bar
+from evaluation.scoring import RGBD_REFERENCE_SIGMA_M
 from evaluation.strip import StrippedFolder, distinct_names, strip
+from evaluation.together import paired_up
 from evaluation.truth import RecordedTruth, Truth, WorldTruth
 from protocol.errors import DataFolderError, FleetPoseError
 from protocol.keys import Keys
@@ -87,6 +90,7 @@ class FleetOptions:
     seed: int = 0
     world: str | None = None  # a plan that fools, instead of the town square
     unique: int = 0
+    views: tuple[int, ...] = ()  # one robot stands at each of these; `robots` is their number then
 
 
 @dataclass
@@ -125,6 +129,9 @@ def run(options: FleetOptions, out: Path) -> dict[str, Any]:
                 if operator is not None:
                     operator.start()
                 _watch(fleet, observer, plan, started_s, options.seconds, watch)
+                if operator is not None:
+                    operator.finish()
+                unanswered_s = [] if operator is None else operator.unanswered_s()
             finally:
                 if operator is not None:
                     operator.close()
@@ -135,10 +142,12 @@ def run(options: FleetOptions, out: Path) -> dict[str, Any]:
             rows=watch.rows,
             observer=observer,
             operator=operator,
+            unanswered_s=unanswered_s,
             memory=watch.memory,
             started_s=started_s,
             median_depth_m=plan.truth.median_depth_m(observer.newest_views()),
             rgbd=plan.truth.rgbd,
+            together=_seen_together(observer, plan.truth),
             leftover_processes=fleet.leftover_processes(),
         )
     return write_results(out, result)
@@ -165,20 +174,23 @@ def _operator(
 def plan_fleet(options: FleetOptions, scratch: Path) -> FleetPlan:
     """Robots with random names on stripped folders of a recording, or in a synthetic world."""
     rng = random.Random()
-    names = distinct_names(options.robots, rng)
+    names = distinct_names(len(options.views) or options.robots, rng)
     if options.data is None:
+        if options.views:
+            raise DataFolderError("--views names views of a recording: give --data DIR")
         return plan_world(
             names, scratch, options.moving, options.seed, options.world, options.unique
         )
     if options.world is not None:
         raise FleetPoseError(f"--world {options.world} and --data: give one of them")
     recording = open_recording(options.data, options.clouds)
-    parts = parts_of(recording, options.robots, options.first)
+    parts = parts_of(recording, options.robots, options.first, options.views)
     folders = {
         name: strip(recording, part, scratch / name, rng)
         for name, part in zip(names, parts, strict=True)
     }
-    replay = ("--replay", "pingpong" if recording.is_rgbd else "hold")
+    still = options.views or not recording.is_rgbd
+    replay = ("--replay", "hold" if still else "pingpong")
     return FleetPlan(
         tuple(_replaying(name, folder, replay) for name, folder in folders.items()),
         RecordedTruth(recording, folders),
@@ -227,28 +239,6 @@ def plan_world(
         for name, place in places.items()
     )
     return FleetPlan(robots, WorldTruth(truth_file, places), tuple(world))
-
-
-def parts_of(recording: Recording, robots: int, first: int) -> list[list[TrueView]]:
-    """What each robot sees: one of consecutive views, or one of equal contiguous stretches.
-
-    Raises:
-        DataFolderError: the recording has too few views.
-    """
-    views = in_ring_order(recording.usable)
-    if recording.is_rgbd:
-        length = len(views) // robots
-        if not length:
-            raise DataFolderError(f"{len(views)} frames cannot be shared among {robots} robots")
-        return [list(views[k * length : (k + 1) * length]) for k in range(robots)]
-    if not 0 <= first < len(views) or robots > len(views):
-        raise DataFolderError(
-            f"{robots} robots from view {first} on: {recording.directory} has {len(views)} views"
-        )
-    ring = any(view.ring_angle_deg is not None for view in views)
-    if not ring and first + robots > len(views):
-        raise DataFolderError(f"only {len(views) - first} views from view {first} on")
-    return [[views[(first + k) % len(views)]] for k in range(robots)]
 
 
 def named_skip_pairs(path: Path | None, names: Sequence[str], scratch: Path) -> Path | None:
@@ -391,6 +381,12 @@ def poses_now(
     return poses
 
 
+def _seen_together(observer: Observer, truth: Truth) -> set[str]:
+    """Robots whose newest view shows what another one's shows as well."""
+    seen = {view.view.name.robot: view for view in observer.newest_views()}
+    return paired_up(list(seen), lambda a, b: truth.see_the_same(seen[a], seen[b]))
+
+
 def _watch(
     fleet: LocalFleet,
     observer: Observer,
@@ -408,7 +404,8 @@ def _watch(
             if second >= FIRST_SAMPLE_S:
                 anchor = None if observer.state is None else observer.state.anchor
                 now = poses_now(observer, plan.truth)
-                watch.rows += score_sample(float(second), plan.names, now, anchor)
+                noise_m = RGBD_REFERENCE_SIGMA_M if plan.truth.rgbd else 0.0
+                watch.rows += score_sample(float(second), plan.names, now, anchor, noise_m)
             progress.update(task, completed=second, description=_doing(observer, plan))
 
 

@@ -1,6 +1,6 @@
 """The results of `pose-eval fleet`: summary, samples, map and table."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from evaluation.fleet_scoring import SampleRow, positions, summarize_poses
-from evaluation.geometry import align_points, transform
+from evaluation.geometry import Floats, align_points, transform
 from evaluation.memory import Memory
 from evaluation.observer import Observer, first_time_located
 from evaluation.operator import SimulatedOperator
@@ -23,6 +23,7 @@ from evaluation.report import (
 )
 from evaluation.scoring import Limits, percentile
 
+LATE_S = 30.0  # a click that takes longer
 NEWEST_WINS = ("newer_view",)
 """Reasons of drops that are meant: an older view gave way to a newer one."""
 SAMPLE_COLUMNS = (
@@ -47,10 +48,12 @@ class FleetResult:
     rows: Sequence[SampleRow]
     observer: Observer
     operator: SimulatedOperator | None
+    unanswered_s: Sequence[float]
     memory: Memory
     started_s: float
     median_depth_m: float
     rgbd: bool
+    together: Collection[str]
     leftover_processes: int
 
 
@@ -69,14 +72,13 @@ def write_results(out: Path, result: FleetResult) -> dict[str, Any]:
 def summarize(result: FleetResult) -> dict[str, Any]:
     """The numbers of summary.json; null where there was nothing to measure.
 
-    Without clicks `click_to_pose_ms_*` are null; `first_solution_s` and `all_located_s` are so if
-    that never came to pass, the errors if no robot was located.
+    `first_solution_s` and `all_located_s` are null if that never came to pass, the errors if no
+    robot was located; for latencies see `latencies`.
     """
     observer, operator, memory = result.observer, result.operator, result.memory
     robots, counts, since_s = len(result.robots), observer.located_counts, result.started_s
-    clicks_ms = [] if operator is None else [1e3 * s for s in operator.click_to_pose_s]
-    views_ms = [1e3 * s for s in observer.view_to_pose_s]
-    poses = summarize_poses(result.rows, Limits.of(result.median_depth_m, result.rgbd))
+    limits = Limits.of(result.median_depth_m, result.rgbd)
+    poses = summarize_poses(result.rows, limits, result.together)
     return {
         **poses,
         "median_depth_m": result.median_depth_m,
@@ -84,10 +86,14 @@ def summarize(result: FleetResult) -> dict[str, Any]:
         "all_located_s": first_time_located(counts, robots, since_s),
         "clicks": 0 if operator is None else operator.clicks,
         "clicks_rejected": 0 if operator is None else len(operator.rejected),
-        "click_to_pose_ms_p50": percentile(clicks_ms, 50),
-        "click_to_pose_ms_p95": percentile(clicks_ms, 95),
-        "view_to_pose_ms_p50": percentile(views_ms, 50),
-        "view_to_pose_ms_p95": percentile(views_ms, 95),
+        **latencies(
+            [] if operator is None else operator.click_to_pose_s,
+            result.unanswered_s,
+            observer.view_to_pose_s,
+            observer.moving_view_to_pose_s,
+        ),
+        "views_overtaken": observer.views_overtaken,
+        "views_unanswered": observer.views_unanswered(),
         **_of_the_server(observer),
         "bytes_per_view": float(np.mean(observer.view_sizes)) if observer.view_sizes else None,
         "agent_rss_mb": memory.agent_peak_mb(),
@@ -96,6 +102,37 @@ def summarize(result: FleetResult) -> dict[str, Any]:
         "leftover_processes": result.leftover_processes,
         "undecodable": observer.undecodable,
     }
+
+
+def latencies(
+    clicks_s: Sequence[float],
+    unanswered_s: Sequence[float],
+    views_s: Sequence[float],
+    moving_views_s: Sequence[float],
+) -> dict[str, Any]:
+    """Percentiles in ms: null without clicks or views, and where they are infinite.
+
+    All clicks count, however late; one that led to no pose has taken for ever. Views of robots that
+    move are told apart as well: where nothing has changed there is nothing to do.
+    """
+    clicks_ms = 1e3 * np.array([*clicks_s, *(np.inf for _ in unanswered_s)])
+    views_ms, moving_ms = 1e3 * np.array(views_s), 1e3 * np.array(moving_views_s)
+    return {
+        "click_to_pose_ms_p50": _percentile_of_waits(clicks_ms, 50),
+        "click_to_pose_ms_p95": _percentile_of_waits(clicks_ms, 95),
+        "clicks_late": int(np.sum(np.array([*clicks_s, *unanswered_s]) > LATE_S)),
+        "clicks_unanswered_s": list(unanswered_s),
+        "view_to_pose_ms_p50": percentile(views_ms, 50),
+        "view_to_pose_ms_p95": percentile(views_ms, 95),
+        "moving_view_to_pose_ms_p50": percentile(moving_ms, 50),
+        "moving_view_to_pose_ms_p95": percentile(moving_ms, 95),
+        "moving_views": len(moving_ms),
+    }
+
+
+def _percentile_of_waits(values: Floats, q: float) -> float | None:
+    """A percentile of numbers of which some may be infinite; none for none."""
+    return float(np.percentile(values, q, method="higher")) if len(values) else None
 
 
 def _of_the_server(observer: Observer) -> dict[str, Any]:

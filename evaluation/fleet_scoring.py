@@ -1,6 +1,6 @@
 """From the poses that a fleet published to the numbers of `pose-eval fleet`: pure functions."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from evaluation.scoring import (
     position_error_m,
     rotation_error_deg,
     share,
+    with_reference,
 )
 
 LOCATED_SHARE = 0.9
@@ -52,12 +53,16 @@ class SampleRow:
 
 
 def score_sample(
-    time_s: float, robots: Sequence[str], poses: Mapping[str, PoseNow], anchor: str | None
+    time_s: float,
+    robots: Sequence[str],
+    poses: Mapping[str, PoseNow],
+    anchor: str | None,
+    reference_sigma_m: float = 0.0,
 ) -> list[SampleRow]:
     """Compares the newest poses with the truth, the anchor as gauge.
 
     The anchor's own true pose places the fleet frame in the world; every other robot of its
-    component is off by what remains.
+    component is off by what remains. The truth's own noise is added to what covariances allow.
     """
     gauge = poses.get(anchor) if anchor else None
     rows = []
@@ -79,11 +84,20 @@ def score_sample(
                 )
             )
         else:
-            rows.append(_scored(time_s, robot, robot == anchor, pose, gauge))
+            row = _scored(time_s, robot, robot == anchor, pose, gauge, reference_sigma_m)
+            rows.append(row)
     return rows
 
 
-def _scored(time_s: float, robot: str, is_anchor: bool, pose: PoseNow, gauge: PoseNow) -> SampleRow:
+def _scored(
+    time_s: float,
+    robot: str,
+    is_anchor: bool,
+    pose: PoseNow,
+    gauge: PoseNow,
+    reference_sigma_m: float,
+) -> SampleRow:
+    allowed = with_reference(pose.covariance, reference_sigma_m)
     T_fleet_world = gauge.T_fleet_robot @ inverse(gauge.T_world_robot)
     T_true = T_fleet_world @ pose.T_world_robot
     return SampleRow(
@@ -96,15 +110,22 @@ def _scored(time_s: float, robot: str, is_anchor: bool, pose: PoseNow, gauge: Po
         T_world_robot=pose.T_world_robot,
         position_error_m=position_error_m(T_true, pose.T_fleet_robot),
         rotation_error_deg=rotation_error_deg(T_true, pose.T_fleet_robot),
-        nees=None if is_anchor else nees(T_true, pose.T_fleet_robot, pose.covariance),
+        nees=None if is_anchor else nees(T_true, pose.T_fleet_robot, allowed),
         verified=pose.verified,
     )
 
 
-def summarize_poses(rows: Sequence[SampleRow], limits: Limits) -> dict[str, Any]:
+def summarize_poses(
+    rows: Sequence[SampleRow], limits: Limits, together: Collection[str] = ()
+) -> dict[str, Any]:
     """Located robots, errors and calibration over all samples.
 
     The anchor has no error by definition: it counts as located, but not in the mean of the errors.
+
+    Args:
+        rows: of all samples.
+        limits: what is grave.
+        together: the robots whose true views show something that another's shows as well.
     """
     by_robot: dict[str, list[SampleRow]] = {}
     for row in rows:
@@ -124,17 +145,23 @@ def summarize_poses(rows: Sequence[SampleRow], limits: Limits) -> dict[str, Any]
         "position_error_mean_m": _mean([_mean(own) for own in errors]),
         "position_error_max_m": max((max(own) for own in errors), default=None),
         "position_error_aligned_m": _aligned(rows, set(located)),
-        "grave_located": sum(_grave(row, limits) for row in rows if row.located),
-        "grave_acted": sum(_grave(row, limits) for row in rows if row.located and row.verified),
+        "grave_located": sum(is_grave(row, limits) for row in rows),
+        "grave_acted": sum(is_grave(row, limits) for row in rows if row.verified),
+        "robots_seen_together": len(together),
+        "located_right": share(
+            row.located and not is_grave(row, limits) for row in rows if row.robot in together
+        ),
         "samples": len({row.time_s for row in rows}),
         "nees_per_dof": _mean([value / 6.0 for value in surprises]),
         "nees_per_dof_median": percentile(np.asarray(surprises) / 6.0, 50),
         "coverage_95": share(value <= CHI2_6_95 for value in surprises),
+        "reference_sigma_m": limits.reference_sigma_m,
     }
 
 
-def _grave(row: SampleRow, limits: Limits) -> bool:
-    if row.position_error_m is None or row.rotation_error_deg is None:
+def is_grave(row: SampleRow, limits: Limits) -> bool:
+    """Whether a robot is located and gravely off."""
+    if not row.located or row.position_error_m is None or row.rotation_error_deg is None:
         return False
     return limits.grave(row.position_error_m, row.rotation_error_deg)
 

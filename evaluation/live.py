@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from evaluation.options import Clouds, Out, Unique, World
+from evaluation.options import Clouds, Out, Unique, World, numbers, only_one
 
 app = typer.Typer()
 
@@ -13,12 +13,22 @@ app = typer.Typer()
 @app.command()
 def fleet(
     out: Out,
-    robots: Annotated[int, typer.Option(min=2, help="How many.")] = 6,
+    robots: Annotated[
+        int | None, typer.Option(min=2, help="How many. [default: 6; offline 4 to 12 by chance]")
+    ] = None,
     seconds: Annotated[float, typer.Option(help="After all processes are up; more than 20.")] = 60,
     data: Annotated[
-        Path | None, typer.Option(help="Recording with ground truth; else the synthetic world.")
+        list[Path] | None,
+        typer.Option(help="Recording with ground truth; else the synthetic world. Offline: any."),
     ] = None,
     clouds: Clouds = None,
+    views: Annotated[
+        str, typer.Option(help="A,B,C: one robot stands at each of these views of a recording.")
+    ] = "",
+    offline: Annotated[
+        bool, typer.Option("--offline", help="Without network and clicks: many drawn fleets.")
+    ] = False,
+    seeds: Annotated[int, typer.Option(min=1, help="Offline: fleets of each recording.")] = 20,
     first: Annotated[int, typer.Option(help="Posed views: the first of consecutive views.")] = 0,
     skip_pairs: Annotated[
         Path | None, typer.Option(help="Lines 'r1 r2': pairs left to the operator.")
@@ -36,14 +46,29 @@ def fleet(
     unique: Unique = 0,
     seed: Annotated[int, typer.Option(help="Of the synthetic world.")] = 0,
 ) -> None:
-    """Run a live fleet on a recording or in the synthetic world and score its poses."""
+    """Run a live fleet on a recording or in the synthetic world and score its poses.
+
+    With --offline: for each recording (--data, repeatable) and seed, robots at views drawn from
+    anywhere on it, put together by the server's own jobs and solver in this machine's processes
+    until nothing is left to align. Prints a line for each recording, the worst first, and every
+    robot that is located and gravely off; writes summary.json and robots.csv.
+    """
+    kind = clouds.value if clouds else None
+    named = tuple(numbers("--views", views)) if views else ()
+    if offline:
+        from evaluation.offline import command
+
+        drawn = command.OfflineOptions(tuple(data or ()), kind, seeds, robots, named, workers)
+        command.run(drawn, out)
+        return
     from evaluation.fleet import FleetOptions, run
 
     options = FleetOptions(
-        robots=robots,
+        robots=robots or 6,
         seconds=seconds,
-        data=data,
-        clouds=clouds.value if clouds else None,
+        data=only_one("--data", data),
+        clouds=kind,
+        views=named,
         first=first,
         skip_pairs=skip_pairs,
         cluster=cluster,
@@ -65,19 +90,27 @@ def restarts(
     robots: Annotated[int, typer.Option(min=2, help="In each.")] = 8,
     seconds: Annotated[float, typer.Option(min=1, help="From its start to its poses.")] = 12.0,
     data: Annotated[
-        Path | None, typer.Option(help="Posed views; each fleet begins at another one.")
+        list[Path] | None,
+        typer.Option(help="Recording; each fleet begins at another view of it. Repeatable."),
     ] = None,
     clouds: Clouds = None,
     workers: Annotated[int, typer.Option(min=1, help="Alignment processes.")] = 2,
     seed: Annotated[int, typer.Option(help="Of the first synthetic world; then one more.")] = 0,
+    offline: Annotated[
+        bool, typer.Option("--offline", help="Without network, by the server's jobs and solver.")
+    ] = False,
 ) -> None:
     """Start fleets anew, each with other noise and other views, and compare the errors of their
     poses with the covariances that the server publishes.
+
+    Of several recordings none is chosen: a line for each, the worst first. Recordings by a depth
+    camera were tracked by that camera: they are judged against 0.05 m of noise in their own poses,
+    and it is said.
     """
     from evaluation.restarts import RestartsOptions, run
 
-    kind = clouds.value if clouds else None
-    run(RestartsOptions(restarts, robots, seconds, data, kind, workers, seed), out)
+    kind, sets = clouds.value if clouds else None, tuple(data or ())
+    run(RestartsOptions(restarts, robots, seconds, sets, kind, workers, seed, offline), out)
 
 
 @app.command()

@@ -18,12 +18,12 @@ from protocol import codec
 from protocol.errors import CodecError
 from protocol.keys import Keys, ordered_pair
 from protocol.messages import OperatorUpdate, Receipts, View
-from protocol.transport import Link, Sample
+from protocol.transport import Link, Sample, wait_until
 
 CLICK_SIGMA_PX = 1.5
 REPEAT_S = 1.0
 ERRAND_POINTS = 200  # that two views have in common, for an errand to be worth while
-GIVE_UP_S = 30.0
+FINISH_S = 10.0  # that a run waits for its last clicks
 _VISIBLE_TOLERANCE_M = 0.02
 _VISIBLE_TOLERANCE_PER_Z = 0.02
 
@@ -138,7 +138,7 @@ class SimulatedOperator:
 
     Where nothing is asked it clicks in a pair of robots by chance, so that the way of a click is
     measured in any case. A click counts as through when, after its receipt, its pair was aligned
-    and then a pose of one of its robots arrived.
+    and then a pose of one of its robots arrived, however long that takes.
 
     Args:
         link, keys: of the session to use.
@@ -173,6 +173,7 @@ class SimulatedOperator:
         self._in_flight: list[Sent] = []
         self._planned: list[tuple[SeenView, SeenView, Click]] = []
         self._stop = threading.Event()
+        self._clicking = True
         self.clicks = 0
         self.rejected: list[str] = []
         self.click_to_pose_s: list[float] = []
@@ -187,6 +188,16 @@ class SimulatedOperator:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
+
+    def finish(self) -> None:
+        """Clicks no more, and waits a while for the poses of what was clicked."""
+        self._clicking = False
+        wait_until(lambda: not self._in_flight, FINISH_S)
+
+    def unanswered_s(self) -> list[float]:
+        """How long the clicks have waited that have led to no pose."""
+        now_s = time.monotonic()
+        return [now_s - sent.put_s for sent in self._in_flight]
 
     def in_flight(self) -> list[Sent]:
         """Clicks that have not led to a pose yet."""
@@ -203,12 +214,12 @@ class SimulatedOperator:
         next_click_s = next_repeat_s = time.monotonic()
         while not self._stop.wait(0.005 if self._in_flight else 0.05):
             now_s = time.monotonic()
-            self._settle(now_s)
+            self._settle()
             if now_s >= next_repeat_s:
                 for ticket in self._outbox.open:
                     self._put(ticket.update)
                 next_repeat_s = now_s + REPEAT_S
-            if now_s >= next_click_s and self._click(now_s):
+            if self._clicking and now_s >= next_click_s and self._click(now_s):
                 next_click_s = now_s + self._period_s
 
     def _click(self, now_s: float) -> bool:
@@ -269,14 +280,13 @@ class SimulatedOperator:
     def _put(self, update: OperatorUpdate) -> None:
         self._publisher.put(codec.pack(update), codec.encoding_of(OperatorUpdate))
 
-    def _settle(self, now_s: float) -> None:
+    def _settle(self) -> None:
         if self._receipts is not None:
             receipted_s, receipts = self._receipts
             for ticket in self._outbox.settle(receipts):
                 self._finish(ticket.update, ticket.reason, receipted_s)
         done = [sent for sent in self._in_flight if self._through(sent)]
-        late = [sent for sent in self._in_flight if now_s - sent.put_s > GIVE_UP_S]
-        self._in_flight = [s for s in self._in_flight if s not in done and s not in late]
+        self._in_flight = [sent for sent in self._in_flight if sent not in done]
 
     def _finish(self, update: OperatorUpdate, reason: str | None, receipted_s: float) -> None:
         if reason is not None:

@@ -1,5 +1,6 @@
 """Options that several commands have in common."""
 
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -43,3 +44,33 @@ World = Annotated[
 Unique = Annotated[
     int, typer.Option(min=0, help="Things in it that are like no other: posters, carts, statues.")
 ]
+
+
+def numbers(option: str, text: str, count: int | None = None) -> list[int]:
+    """Whole numbers with commas between them.
+
+    Raises:
+        FleetPoseError: it is something else, or another count.
+    """
+    from protocol.errors import FleetPoseError
+
+    try:
+        found = [int(part) for part in text.split(",")]
+    except ValueError:
+        found = []
+    if not found or (count is not None and len(found) != count):
+        raise FleetPoseError(f"{option} {text!r}: write numbers like 0,3 or 40,90")
+    return found
+
+
+def only_one(option: str, given: Sequence[Path] | None) -> Path | None:
+    """The value of an option that may be repeated elsewhere; none if it is not given.
+
+    Raises:
+        FleetPoseError: it is given more than once.
+    """
+    from protocol.errors import FleetPoseError
+
+    if given and len(given) > 1:
+        raise FleetPoseError(f"{option} {given[1]}: give one here, several only with --offline")
+    return given[0] if given else None

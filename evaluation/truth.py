@@ -13,7 +13,9 @@ from evaluation.datasets import Recording, TrueView, median_depth_m
 from evaluation.geometry import Floats, inverse
 from evaluation.observer import SeenView, digest_of
 from evaluation.operator import by_tracks, by_view_depth
+from evaluation.scoring import OverlapCloud
 from evaluation.strip import StrippedFolder
+from evaluation.together import Sights, enough_overlap
 from protocol.clouds import points_of
 
 
@@ -37,6 +39,10 @@ class Truth(Protocol):
         """Pixels (N, 2) of view i and of view j that show the same N points; N may be 0."""
         ...
 
+    def see_the_same(self, i: SeenView, j: SeenView) -> bool:
+        """Whether enough of what one view shows is in the other: see `together`."""
+        ...
+
 
 @dataclass(frozen=True)
 class _Key:
@@ -54,6 +60,7 @@ class RecordedTruth:
 
     def __init__(self, recording: Recording, folders: dict[str, StrippedFolder]) -> None:
         self._recording = recording
+        self._sights = Sights(recording)
         self._views: dict[_Key, TrueView] = {}
         for robot, folder in folders.items():
             for view, digest in zip(folder.views, _digests(folder), strict=True):
@@ -81,6 +88,10 @@ class RecordedTruth:
         if tracks_i is not None and tracks_j is not None:
             return by_tracks(*tracks_i, *tracks_j)
         return by_view_depth(i.view, j.view, inverse(view_i.T_world_camera) @ view_j.T_world_camera)
+
+    def see_the_same(self, i: SeenView, j: SeenView) -> bool:
+        view_i, view_j = self._view(i), self._view(j)
+        return view_i is not None and view_j is not None and self._sights.same(view_i, view_j)
 
     def _view(self, seen: SeenView) -> TrueView | None:
         return self._views.get(_Key(seen.view.name.robot, seen.digest))
@@ -142,14 +153,26 @@ class WorldTruth:
         return np.array(self._content()["T_world_robots"][place])
 
     def correspondences(self, i: SeenView, j: SeenView) -> tuple[Floats, Floats]:
+        T_i_j = self._T_i_j(i, j)
+        return _nothing() if T_i_j is None else by_view_depth(i.view, j.view, T_i_j)
+
+    def see_the_same(self, i: SeenView, j: SeenView) -> bool:
+        T_i_j = self._T_i_j(i, j)
+        if T_i_j is None:
+            return False
+        cloud_i, cloud_j = (OverlapCloud.of(points_of(seen.view).xyz) for seen in (i, j))
+        return enough_overlap(cloud_i, cloud_j, T_i_j)
+
+    def _T_i_j(self, i: SeenView, j: SeenView) -> Floats | None:
+        """(4, 4) true pose of one view's camera in the other's; none if one is unknown."""
         T_world_i, T_world_j = self.T_world_robot(i), self.T_world_robot(j)
         if T_world_i is None or T_world_j is None:
-            return _nothing()
+            return None
         T_world_cameras = (
             T_world_i @ i.view.camera.T_robot_camera,
             T_world_j @ j.view.camera.T_robot_camera,
         )
-        return by_view_depth(i.view, j.view, inverse(T_world_cameras[0]) @ T_world_cameras[1])
+        return inverse(T_world_cameras[0]) @ T_world_cameras[1]
 
     def _content(self) -> dict[str, Any]:
         return json.loads(self._file.read_text())

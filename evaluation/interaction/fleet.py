@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluation.datasets import TrueView
-from evaluation.geometry import inverse
+from evaluation.geometry import Floats, inverse
 from evaluation.interaction.worker import ClickedAnswer
 from evaluation.scoring import position_error_m
 from evaluation.strip import distinct_names
@@ -39,8 +39,8 @@ class Solved:
     """What the server would say of a fleet, scored.
 
     Attributes:
-        errors_m: position error by index of the view, of every robot that is joined with its
-            anchor; the anchors have none.
+        errors_m: position error by index of the view, of every robot; the anchors have none. One
+            that is not located counts too: see `_places`.
         located: share of the robots that are joined with their anchor, the anchors left out.
         marked: by pair, (N,) which clicks the server marks as outliers; none where it cannot tell.
     """
@@ -83,16 +83,54 @@ def solve_ring(
     )
     arcs = connected(answers)
     anchors = tuple(min(arc, key=lambda index: str(names[index])) for arc in arcs)
-    errors = {
-        index: error
-        for arc, anchor in zip(arcs, anchors, strict=True)
-        for index in arc
-        if index != anchor
-        and (error := _error_m(solution, names, views, anchor, index)) is not None
-    }
-    robots = sum(map(len, arcs)) - len(anchors)
+    errors: dict[int, float] = {}
+    located = 0
+    for arc, anchor in zip(arcs, anchors, strict=True):
+        for index, T in _places(solution, names, sorted(answers), arc, anchor).items():
+            if index != anchor:
+                T_true = inverse(views[anchor].T_world_camera) @ views[index].T_world_camera
+                errors[index] = position_error_m(T_true, T)
+                located += solution.joined(names[anchor], names[index])
     marked = {pair: _marked(solution, names, pair, answers[pair]) for pair in pairs}
-    return Solved(errors, len(errors) / max(robots, 1), marked)
+    return Solved(errors, located / max(len(errors), 1), marked)
+
+
+def _places(
+    solution: FleetSolution,
+    names: Mapping[int, ViewName],
+    pairs: Sequence[Pair],
+    arc: set[int],
+    anchor: int,
+) -> dict[int, Floats]:
+    """T_anchor_camera of every robot of an arc, of those that are not located as well.
+
+    Where nothing joins two neighbours, one is taken to stand where the other is. That is where the
+    paper's method leaves a pair of which it finds nothing: its start without clicks is the identity
+    (its Fig. 7), and there is always an answer. So a robot that this system refuses to locate costs
+    as much as one that the paper's method does not move.
+    """
+    places = _joined_to(solution, names, arc, anchor, np.eye(4))
+    while len(places) < len(arc):
+        here, there = next(
+            ends
+            for pair in pairs
+            for ends in (pair, pair[::-1])
+            if ends[0] in places and ends[1] in arc and ends[1] not in places
+        )
+        places |= _joined_to(solution, names, arc, there, places[here])
+    return places
+
+
+def _joined_to(
+    solution: FleetSolution, names: Mapping[int, ViewName], arc: set[int], root: int, T: Floats
+) -> dict[int, Floats]:
+    """Poses of a robot and of all that are joined with it, if its own is T."""
+    poses = {root: T}
+    for index in arc - {root}:
+        relative = solution.relative(names[root], names[index])
+        if relative is not None:
+            poses[index] = T @ np.asarray(relative.T_a_b, np.float64)
+    return poses
 
 
 def connected(pairs: Iterable[Pair]) -> list[set[int]]:
@@ -153,18 +191,3 @@ def _marked(
         return None
     i, j = clicked.at_i, clicked.at_j
     return contradicts(relative.T_a_b, PointPairs(i.p, j.p, i.C, j.C))
-
-
-def _error_m(
-    solution: FleetSolution,
-    names: Mapping[int, ViewName],
-    views: Mapping[int, TrueView],
-    anchor: int,
-    index: int,
-) -> float | None:
-    """Position error of a robot with its anchor as gauge; none if they are not joined."""
-    relative = solution.relative(names[anchor], names[index])
-    if relative is None:
-        return None
-    T_true = inverse(views[anchor].T_world_camera) @ views[index].T_world_camera
-    return position_error_m(T_true, np.asarray(relative.T_a_b, np.float64))

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from evaluation.datasets import Recording
-from evaluation.fleet import parts_of
 from evaluation.geometry import Floats
+from evaluation.parts import parts_of
 from evaluation.strip import random_name, strip
 from protocol.errors import DataFolderError
 

@@ -1,15 +1,16 @@
-"""`pose-eval questions`: clicks until the fleet is located, by what the operator goes by."""
+"""`pose-eval questions`: clicks until the fleet is located and right, by who chooses the pairs."""
 
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evaluation.datasets import CloudKind, open_recording
+from evaluation.datasets import CloudKind, median_depth_m, open_recording
 from evaluation.questions.play import Played, Task, play
 from evaluation.questions.policies import POLICIES
 from evaluation.questions.report import write_results
 from evaluation.report import output_folder, progress_bar
+from evaluation.scoring import Limits
 from evaluation.working import as_done, on_the_wire, worker_pool
 from protocol.errors import DataFolderError
 
@@ -32,6 +33,7 @@ def run(options: QuestionsOptions, out: Path) -> dict[str, Any]:
         FleetPoseError: the data cannot be used, or no drawn fleet needs an operator.
     """
     recording = open_recording(options.data, options.clouds)
+    limits = Limits.of(median_depth_m(recording), recording.is_rgbd)
     output_folder(out)
     with (
         tempfile.TemporaryDirectory(prefix="fleetpose-") as folder,
@@ -41,7 +43,7 @@ def run(options: QuestionsOptions, out: Path) -> dict[str, Any]:
         wires, _ = on_the_wire(recording, recording.usable, Path(folder), pool, progress, seed=0)
         task = progress.add_task("fleets", total=options.seeds)
         seeds = range(options.first, options.first + options.seeds)
-        jobs = ((seed, (play, Task(recording, wires, seed))) for seed in seeds)
+        jobs = ((seed, (play, Task(recording, wires, seed, limits))) for seed in seeds)
         found: dict[int, Played] = {}
         for seed, played in as_done(pool, jobs, in_flight=options.workers):
             if played is not None:

@@ -1,4 +1,6 @@
-"""What the workers do for one seed: draw a fleet, and let every policy ask until it is located."""
+"""What the workers do for one seed: draw a fleet, and let every policy ask until all robots are
+located, and rightly.
+"""
 
 import pickle
 from collections import Counter
@@ -36,11 +38,14 @@ _SAME_PX = 1.5  # a pixel and a recorded point's
 
 @dataclass(frozen=True)
 class Task:
-    """One seed of a recording; `wires` is what the robots of all views sent, by index."""
+    """One seed of a recording; `wires` is what the robots of all views sent, by index, and `limits`
+    say what is grave there.
+    """
 
     recording: Recording
     wires: dict[int, Path]
     seed: int
+    limits: Limits
 
 
 @dataclass
@@ -50,11 +55,16 @@ class Run:
     Attributes:
         components: that the automatic path leaves.
         minimum: clicks that join them if each pair asked for works at once.
-        clicks: until all robots were located; the most allowed where they never were.
+        clicks: until all robots were located and none of them gravely off; the most allowed where
+            that never came to pass.
+        located: it did.
         asked: pairs, in their order, as indices of the views.
         in_vain: how many of these had too few points in common.
-        grave: a robot is located and gravely off.
+        grave: a robot is located and gravely off when there is nothing more to ask, or no click
+            left.
         grave_verified: and its pose is called verified.
+        claimed: at some time all robots claimed to be located, and one of them was gravely off: an
+            operator who cannot know that would have stopped there.
     """
 
     seed: int
@@ -68,6 +78,7 @@ class Run:
     in_vain: int = 0
     grave: bool = False
     grave_verified: bool = False
+    claimed: bool = False
 
 
 @dataclass
@@ -90,7 +101,7 @@ def play(task: Task) -> Played | None:
         server = server_of(task, drawn)
         if not played.runs:
             played.suggestions = judged_suggestions(task, server)
-        played.runs.append(_asked(task, server, policy))
+        played.runs.append(asked(task, server, policy))
     return played
 
 
@@ -98,8 +109,9 @@ def draw_fleet(task: Task) -> tuple[int, ...] | None:
     """Views of 8 to 12 robots anywhere on the recording, no two of them stereo partners.
 
     Only fleets count that need the operator and that an operator can help: the automatic path
-    leaves several components, and pairs of views with ten points in common connect them. Where the
-    views are so near to each other that no draw falls apart, fewer robots are drawn.
+    leaves several components or puts a robot gravely wrong, and pairs of views with ten points in
+    common connect what is right. Where the views are so near to each other that no draw falls
+    apart, fewer robots are drawn.
     """
     rng = np.random.default_rng(task.seed)
     usable = [view for view in task.recording.usable if view.index in task.wires]
@@ -113,8 +125,8 @@ def draw_fleet(task: Task) -> tuple[int, ...] | None:
             if not any(are_partners(view, other) for other in views):
                 views.append(view)
         indices = tuple(view.index for view in views)
-        components = server_of(task, indices).components
-        if len(components) > 1 and _can_be_joined(task, views, components):
+        parts = _parts(task, server_of(task, indices))
+        if len(parts) > 1 and _can_be_joined(task, views, parts):
             return indices
     return None
 
@@ -147,26 +159,34 @@ def aligned(wire_i: Path, wire_j: Path) -> "PairResult":
     return result
 
 
-def _can_be_joined(task: Task, views: Sequence[TrueView], components: Sequence[set[str]]) -> bool:
+def _parts(task: Task, server: FleetServer) -> list[set[str]]:
+    """What is joined, each robot that is joined gravely wrong by itself."""
+    grave = set(_gravely_off(task, server))
+    parts = [names - grave for names in server.components]
+    return [names for names in parts if names] + [{name} for name in sorted(grave)]
+
+
+def _can_be_joined(task: Task, views: Sequence[TrueView], parts: Sequence[set[str]]) -> bool:
     number = {kept(task.wires[view.index]).name.robot: view.index for view in views}
-    of = {number[name]: k for k, names in enumerate(components) for name in names}
+    of = {number[name]: k for k, names in enumerate(parts) for name in names}
     links = [
         (of[i.index], of[j.index])
         for i, j in combinations(views, 2)
         if of[i.index] != of[j.index] and len(true_pixels(task.recording, i, j)[0]) >= ENOUGH_SHARED
     ]
-    joined = connected([*links, *((k, k) for k in range(len(components)))])
+    joined = connected([*links, *((k, k) for k in range(len(parts)))])
     return len(joined) == 1
 
 
-def _asked(task: Task, server: FleetServer, policy: str) -> Run:
-    """Asks by a policy until all are located, or there were ten clicks per robot."""
+def asked(task: Task, server: FleetServer, policy: str) -> Run:
+    """Asks by a policy until all are located and right, or there were ten clicks per robot."""
     components = len(server.components)
-    run = Run(task.seed, policy, len(server.views), components, CLICKS * (components - 1))
+    least = CLICKS * max(components - 1, 1)  # a fleet that is joined wrongly needs a pair as well
+    run = Run(task.seed, policy, len(server.views), components, least)
     most = MOST_PER_ROBOT * run.robots
     visits: Counter[RobotPair] = Counter()
     rng = np.random.default_rng((task.seed, 1))
-    while not (located := server.all_located()) and run.clicks < most:
+    while not _settled(task, server, run) and run.clicks < most:
         pair = POLICIES[policy](server, visits, rng)
         if pair is None:
             break
@@ -180,11 +200,19 @@ def _asked(task: Task, server: FleetServer, policy: str) -> Run:
         else:
             run.clicks += CLICKS_FOR_NOTHING
             run.in_vain += 1
-    run.located = located
     grave = _gravely_off(task, server)
     run.grave, run.grave_verified = bool(grave), any(map(server.is_verified, grave))
-    run.clicks = min(run.clicks, most) if located else most
+    run.clicks = min(run.clicks, most) if run.located else most
     return run
+
+
+def _settled(task: Task, server: FleetServer, run: Run) -> bool:
+    """Whether all robots are located and right; notes it, and if they only claim to be."""
+    everybody = len(server.located_cameras()) == len(server.views)
+    wrong = everybody and bool(_gravely_off(task, server))
+    run.located = everybody and not wrong
+    run.claimed = run.claimed or wrong
+    return run.located
 
 
 def _gravely_off(task: Task, server: FleetServer) -> list[str]:
@@ -193,14 +221,12 @@ def _gravely_off(task: Task, server: FleetServer) -> list[str]:
     anchor = server.site.anchor
     if anchor is None or anchor not in placed:
         return []
-    depth_m = float(np.median([view.median_depth_m for view in map(server.kept, placed)]))
-    limits = Limits.of(depth_m, task.recording.is_rgbd)
-    views = {name: task.recording.views[server.views[name]] for name in placed}
+    views = {name: task.recording.view(server.views[name]) for name in placed}
     grave = []
     for name, T_fleet_camera in placed.items():
         T = inverse(placed[anchor]) @ T_fleet_camera
         T_true = inverse(views[anchor].T_world_camera) @ views[name].T_world_camera
-        if limits.grave(position_error_m(T_true, T), rotation_error_deg(T_true, T)):
+        if task.limits.grave(position_error_m(T_true, T), rotation_error_deg(T_true, T)):
             grave.append(name)
     return grave
 
@@ -213,7 +239,7 @@ def clicks_in(task: Task, views: tuple[int, int], visit: int) -> list[tuple[Floa
     seen = (kept(task.wires[i]), kept(task.wires[j]))
     sizes = tuple((view.camera.width, view.camera.height) for view in seen)
     rng = np.random.default_rng((task.seed, *sorted(views)))
-    true = true_pixels(task.recording, task.recording.views[i], task.recording.views[j])
+    true = true_pixels(task.recording, task.recording.view(i), task.recording.view(j))
     wanted = CLICKS * (visit + 1)
     made = right_clicks(true, wanted, rng, (sizes[0], sizes[1]), takes(seen))
     if len(made) < wanted:
@@ -228,7 +254,7 @@ def judged_suggestions(task: Task, server: FleetServer) -> list[tuple[int, bool]
     judged = []
     for rank, question in enumerate(questions(server.site)):
         i, j = (
-            task.recording.views[server.views[name.robot]]
+            task.recording.view(server.views[name.robot])
             for name in (question.view_i, question.view_j)
         )
         T_j_i = inverse(j.T_world_camera) @ i.T_world_camera

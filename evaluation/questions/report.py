@@ -24,14 +24,25 @@ COLUMNS = (
     "located",
     "grave",
     "grave_verified",
+    "claimed",
     "in_vain",
     "asked",
 )
 
 
+FLAGS = ("located", "grave", "grave_verified", "claimed")
+ENDS = {
+    "grave_ends_questions": "questions",
+    "grave_ends_largest": "largest_error",
+    "grave_ends_random": "random",
+}
+"""Keys of the summary for the plays of each policy that end with a robot located gravely wrong."""
+
+
 def summarize(played: Sequence[Played], policies: Sequence[str], seed: int = 0) -> dict[str, Any]:
     """Means over the fleets with 95 % of the means of redrawn fleets; of two policies the same
-    fleets are drawn together.
+    fleets are drawn together. A play counts until all robots are located and none is gravely off,
+    one that never came there with all clicks that were allowed.
     """
     clicks = {policy: _clicks(played, policy) for policy in policies}
     minimum = np.array([one.runs[0].minimum for one in played], float)
@@ -47,10 +58,13 @@ def summarize(played: Sequence[Played], policies: Sequence[str], seed: int = 0) 
     summary["ratio_largest_high"] = summary["ratio_largest_error_high"]
     summary["ratio_minimum"] = float(asked.mean() / minimum.mean())
     runs = [run for one in played for run in one.runs]
+    for key, policy in ENDS.items():
+        summary[key] = sum(run.grave for run in runs if run.policy == policy)
     for what, flag in (
         ("failures", lambda run: not run.located),
         ("grave_located", lambda run: run.grave),
         ("grave_verified", lambda run: run.grave_verified),
+        ("claimed_wrongly", lambda run: run.claimed),
     ):
         summary[what] = {p: sum(flag(r) for r in runs if r.policy == p) for p in policies}
     summary["asked_in_vain"] = {p: sum(r.in_vain for r in runs if r.policy == p) for p in policies}
@@ -94,13 +108,13 @@ def write_results(out: Path, played: Sequence[Played], policies: Sequence[str]) 
     write_summary(out, summary)
     _plot(out / "clicks.png", played, policies)
     rows = [(key, *_short(value)) for key, value in summary.items()]
-    print_table("clicks until the fleet is located", ("", "value", "low", "high"), rows)
+    print_table("clicks until the fleet is located and right", ("", "value", "low", "high"), rows)
     return summary
 
 
 def _cells(run: Run) -> dict[str, Any]:
     asked = " ".join(f"{i}-{j}" for i, j in run.asked)
-    flags = {flag: int(getattr(run, flag)) for flag in ("located", "grave", "grave_verified")}
+    flags = {flag: int(getattr(run, flag)) for flag in FLAGS}
     return {**vars(run), **flags, "asked": asked}
 
 
@@ -123,7 +137,7 @@ def _plot(path: Path, played: Sequence[Played], policies: Sequence[str]) -> None
         axes.plot(place + rng.uniform(-0.15, 0.15, len(values)), values, "o", alpha=0.4)
         axes.hlines(values.mean(), place - 0.3, place + 0.3, color="black")
     axes.set_xticks(range(len(names)), [name.replace("_", "\n") for name in names])
-    axes.set_ylabel("clicks until all robots are located")
+    axes.set_ylabel("clicks until all robots are located and right")
     axes.set_yscale("log")
     axes.set_title(f"{len(played)} fleets")
     figure.savefig(path)

@@ -38,9 +38,11 @@ def ring_poses(count: int, step_deg: float = 10.0, radius_m: float = 2.0) -> lis
 
 
 def write_posed_views(
-    folder: Path, count: int = 4, points: int = 300, partners: bool = True
+    folder: Path, count: int = 4, points: int = 300, partners: bool = True, c2: float = 0.01
 ) -> list[Floats]:
-    """A posed-views folder of a random cloud around the origin; returns the T_world_camera."""
+    """A posed-views folder of a random cloud around the origin, whose noisy depths are said to be
+    known to c2 z^2; returns the T_world_camera.
+    """
     rng = np.random.default_rng(5)
     world = rng.uniform(-0.5, 0.5, (points, 3))
     poses = ring_poses(count)
@@ -55,7 +57,7 @@ def write_posed_views(
         xyz = transform(T_camera_world, world[seen])
         uv = (xyz @ K.T)[:, :2] / xyz[:, 2:]
         stem = Path(name).stem
-        sigma = 0.01 * xyz[:, 2] ** 2
+        sigma = c2 * xyz[:, 2] ** 2
         np.savez(folder / "sparse" / stem, uv=uv, xyz_cam=xyz, track_id=seen + 1000)
         np.savez(
             folder / "sparse_noisy" / stem,

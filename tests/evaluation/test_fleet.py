@@ -6,8 +6,9 @@ import random
 import pytest
 
 from evaluation.datasets import open_recording
-from evaluation.fleet import FleetOptions, named_skip_pairs, parts_of, plan_fleet, run
+from evaluation.fleet import FleetOptions, named_skip_pairs, plan_fleet, run
 from evaluation.observer import SeenView, digest_of
+from evaluation.parts import parts_of
 from protocol.errors import DataFolderError, FleetPoseError
 from protocol.keys import new_epoch
 from protocol.messages import View, ViewName
@@ -34,6 +35,11 @@ def test_too_many_robots_are_refused(tmp_path):
     for name, clouds in (("views", "sparse"), ("rgbd", None)):
         with pytest.raises(DataFolderError):
             parts_of(open_recording(tmp_path / name, clouds), 4, first=0)
+
+
+def test_views_of_no_recording_are_refused(tmp_path):
+    with pytest.raises(DataFolderError, match="--data"):
+        plan_fleet(FleetOptions(robots=2, seconds=30, views=(0, 1)), tmp_path)
 
 
 def test_skip_pairs_are_told_by_the_robots_random_names(tmp_path):
@@ -87,6 +93,19 @@ def test_the_true_pose_of_a_view_is_known_by_its_cloud(tmp_path, rgbd):
         assert T_world_camera == pytest.approx(true, abs=1e-9)
 
 
+@pytest.mark.parametrize("rgbd", [False, True], ids=["views", "rgbd"])
+def test_one_robot_stands_at_each_view_that_is_named(tmp_path, rgbd):
+    poses = (write_rgbd if rgbd else write_posed_views)(tmp_path / "set", count=5)
+    options = FleetOptions(robots=9, seconds=30, data=tmp_path / "set", views=(4, 0, 2))
+    plan = plan_fleet(options, tmp_path / "scratch")
+    assert all(robot.options == ("--replay", "hold") for robot in plan.robots)
+    for robot, index in zip(plan.robots, (4, 0, 2), strict=True):
+        (seen,) = sent_by(robot, robot.name)
+        T_world_robot = plan.truth.T_world_robot(seen)
+        assert T_world_robot is not None
+        assert T_world_robot @ seen.view.camera.T_robot_camera == pytest.approx(poses[index])
+
+
 def test_views_of_posed_views_show_the_operator_what_they_share(tmp_path):
     write_posed_views(tmp_path / "set", count=2, points=300)
     options = FleetOptions(robots=2, seconds=30, data=tmp_path / "set", clouds="sparse_noisy")
@@ -94,6 +113,7 @@ def test_views_of_posed_views_show_the_operator_what_they_share(tmp_path):
     i, j = (sent_by(robot, robot.name)[0] for robot in plan.robots)
     uv_i, uv_j = plan.truth.correspondences(i, j)
     assert len(uv_i) == len(uv_j) == 280
+    assert plan.truth.see_the_same(i, j)
 
 
 def test_robots_names_say_nothing_about_their_order():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from evaluation.fleet_report import latencies
 from evaluation.fleet_scoring import PoseNow, SampleRow, score_sample, summarize_poses
 from evaluation.geometry import inverse
 from evaluation.observer import first_time_located
@@ -138,3 +139,27 @@ def test_a_consumer_that_drops_unverified_poses_acts_on_no_grave_one_of_these():
         poses["b"] = replace(poses["b"], verified=verified)
         summary = summarize_poses(score_sample(1.0, NAMES, poses, "a"), LIMITS)
         assert (summary["grave_located"], summary["grave_acted"]) == (1, acted)
+
+
+def test_located_right_is_a_share_of_the_samples_of_robots_that_are_seen_together():
+    rows = []
+    for k in range(4):
+        poses = fleet((9.0, 0.0, 0.0))  # b is gravely off
+        if k == 0:
+            del poses["c"]
+        rows += score_sample(float(k), NAMES, poses, "a")
+    summary = summarize_poses(rows, LIMITS, {"b", "c"})
+    assert summary["grave_located"] == 4
+    assert summary["robots_seen_together"] == 2
+    assert summary["located_right"] == pytest.approx(3 / 8)
+    assert summarize_poses(rows, LIMITS)["located_right"] is None
+
+
+def test_a_click_that_led_to_no_pose_took_for_ever():
+    found = latencies([0.1] * 18 + [31.0], [45.0], [0.2], [])
+    assert found["click_to_pose_ms_p50"] == pytest.approx(100.0)
+    assert found["click_to_pose_ms_p95"] == float("inf")
+    assert found["clicks_late"] == 2 and found["clicks_unanswered_s"] == [45.0]
+    assert found["view_to_pose_ms_p95"] == pytest.approx(200.0)
+    assert found["moving_view_to_pose_ms_p95"] is None
+    assert latencies([], [], [], [])["click_to_pose_ms_p95"] is None

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +15,10 @@ from evaluation.interaction.fleet import connected, solve_ring
 from evaluation.interaction.hand import WRONG_PX, right_clicks, with_wrong, wrong_of
 from evaluation.interaction.ring import RingOptions, run
 from evaluation.interaction.ring_layout import along_path, rings_of
+from evaluation.interaction.ring_report import write_summaries
 from evaluation.interaction.rows import named
 from evaluation.interaction.truth import true_pixels
-from evaluation.interaction.worker import ClickedAnswer, Lifted
+from evaluation.interaction.worker import ClickedAnswer, Lifted, timed_icp
 from evaluation.pair_worker import Answer
 from evaluation.pairs_report import POSE_FILE_COLUMNS
 from protocol.errors import DataFolderError
@@ -191,6 +194,70 @@ def test_a_rejected_pair_without_clicks_leaves_its_robot_unlocated(tmp_path, clo
     solved = solve_ring(views, {(0, 1): good, (1, 2): bad}, depth_m=2.0)
     assert solved.located <= 0.5
     assert solved.marked[1, 2] is None
+
+
+def test_a_robot_that_is_not_located_counts_where_its_neighbour_stands(tmp_path, cloud):
+    T_world_cameras = write_posed_views(tmp_path / "set", count=4)
+    views = {view.index: view for view in open_recording(tmp_path / "set", "sparse").usable}
+    T = [inverse(T_world_cameras[k]) @ T_world_cameras[k + 1] for k in range(3)]
+    answers = {
+        (k, k + 1): clicked(T[k], cloud[:0], (), "verified" if k != 1 else "rejected")
+        for k in range(3)
+    }
+    solved = solve_ring(views, answers, depth_m=2.0)
+    as_by_paper = {**answers, (1, 2): clicked(np.eye(4), cloud[:0], (), "")}
+    moved = solve_ring(views, as_by_paper, depth_m=2.0)
+    assert len(solved.errors_m) == 3 and solved.located == pytest.approx(1 / 3)
+    assert moved.located == 1.0
+    for index, error_m in solved.errors_m.items():
+        assert error_m == pytest.approx(moved.errors_m[index], abs=1e-6)
+    assert max(solved.errors_m.values()) > 0.3  # 10 degrees of a ring of 2 m
+
+
+def test_all_icp_counts_whichever_step_asks_for_it(cloud):
+    from pose_server.geometry.icp import dense_cloud
+    from pose_server.pairs import refining
+
+    users = [
+        path.name
+        for path in (Path(refining.__file__).parents[1]).rglob("*.py")
+        if re.search(r"import .*\bgicp\b|small_gicp\.align\b", path.read_text())
+    ]
+    assert sorted(users) == ["icp.py", "refining.py"]  # it is timed where `refining` calls it
+    icp, one = refining.gicp, dense_cloud(cloud, 0.1)
+    with timed_icp() as spent:
+        refining.gicp(one, one, np.eye(4), 0.1)
+        once_ms = spent.ms
+        refining.gicp(one, one, np.eye(4), 0.1)
+    assert 0.0 < once_ms < spent.ms
+    assert refining.gicp is icp
+
+
+def ring(clicks, error_m, success=0.9, separation_deg=10.0):
+    return {
+        "separation_deg": separation_deg,
+        "clicks": clicks,
+        "position_error_m": error_m,
+        "success": success,
+    }
+
+
+@pytest.mark.parametrize(
+    ("error_m", "success", "met"),
+    [(0.1, 0.9, 1), (0.1001, 0.9, 0), (0.1, 0.8, 0), (None, 0.9, 0), (0.05, 1.0, 1)],
+)
+def test_a_separation_is_met_if_nothing_is_worse_than_the_papers_three_clicks(
+    tmp_path, error_m, success, met
+):
+    paper = {"recipe": "paper", "rings": [ring(0, 9.0, 0.0), ring(3, 0.1)]}
+    full = {"recipe": "full", "rings": [ring(0, error_m, success), ring(3, 0.0, 1.0)]}
+    for one in (paper, full):
+        for row in one["rings"]:
+            row.update(icp_ms=1.0, align_ms=2.0)
+    (tmp_path / "paper").mkdir()
+    (tmp_path / "full").mkdir()
+    written = write_summaries(tmp_path, {"paper": paper, "full": full})
+    assert (written["separations"], written["separations_met"]) == (1, met)
 
 
 def test_ring_writes_the_columns_that_were_agreed_on(tmp_path):

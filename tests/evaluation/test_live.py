@@ -192,11 +192,21 @@ def test_a_pose_answers_its_view_and_all_older_ones(site, observer):
     assert all(0.0 < s < 5.0 for s in observer.view_to_pose_s)
 
 
-def test_a_view_that_its_own_pose_overtook_did_not_wait(site, observer):
+def test_a_view_that_its_own_pose_overtook_is_counted_and_tells_no_time(site, observer):
     site.put(KEYS.pose("a"), pose("a", 3, n=1))
     assert wait_until(lambda: "a" in observer.poses(), 5)
     site.show(observer, view("a", 3))
-    assert wait_until(lambda: observer.view_to_pose_s == [0.0], 5)
+    assert wait_until(lambda: observer.views_overtaken == 1, 5)
+    assert observer.view_to_pose_s == [] and observer.views_unanswered() == 0
+
+
+def test_views_that_show_something_new_are_told_apart(site, observer):
+    site.show(observer, view("a", 0), view("a", 1), view("a", 2, depth_m=3.0), view("a", 3))
+    assert observer.views_unanswered() == 4
+    site.put(KEYS.pose("a"), pose("a", 2, n=1))
+    assert wait_until(lambda: len(observer.view_to_pose_s) == 3, 5)
+    assert observer.moving_view_to_pose_s == observer.view_to_pose_s[2:]
+    assert observer.views_unanswered() == 1
 
 
 def test_the_number_of_located_robots_is_noted_when_it_changes(site, observer):
@@ -279,9 +289,12 @@ def test_a_question_is_answered_and_the_click_timed_until_the_pose(site, observe
     site.put(KEYS.alignment("a", "b"), alignment(1))
     assert wait_until(lambda: len(observer.alignments) == 1, 5)
     assert operator.click_to_pose_s == []
+    first = next(sent for sent in operator.in_flight() if sent.update.n == 1)
+    first.put_s -= 100.0  # it is still waited for after a minute and a half
     site.put(KEYS.pose("b"), pose("b", 0, n=1))
     assert wait_until(lambda: len(operator.click_to_pose_s) == 1, 5)
-    assert 0.0 < operator.click_to_pose_s[0] < 10.0
+    assert 100.0 < operator.click_to_pose_s[0] < 110.0
+    assert len(operator.unanswered_s()) == len(operator.in_flight())
 
 
 def test_an_update_is_repeated_until_its_receipt(site, operator):

@@ -6,12 +6,16 @@ import json
 import numpy as np
 import pytest
 
+from evaluation.datasets import open_recording
+from evaluation.geometry import inverse
+from evaluation.questions import play as playing
 from evaluation.questions.command import QuestionsOptions, run
-from evaluation.questions.play import Played, Run
+from evaluation.questions.play import Played, Run, Task
 from evaluation.questions.policies import POLICIES
 from evaluation.questions.report import mean_with_interval, ratio_interval, summarize
+from evaluation.scoring import Limits
 from protocol.errors import DataFolderError
-from tests.evaluation.makers import write_posed_views, write_rgbd
+from tests.evaluation.makers import pose, write_posed_views, write_rgbd
 
 
 def played(clicks, minimum=3):
@@ -49,11 +53,58 @@ def test_summary_has_the_keys_that_others_read():
     assert summary["ratio_largest_high"] == summary["ratio_largest_error_high"] <= 0.34
     assert set(summary["clicks_random"]) == {"mean", "low", "high"}
     assert summary["failures"] == {"questions": 0, "largest_error": 0, "random": 1}
+    ends = {key: summary[key] for key in summary if key.startswith("grave_ends")}
+    assert ends == dict.fromkeys(
+        ("grave_ends_questions", "grave_ends_largest", "grave_ends_random"), 0
+    )
     assert summary["suggestions_true"] == 0.5 and summary["suggestions_true_first"] == 1.0
 
 
+class Claiming:
+    """A server all of whose robots claim to be located, one of them wrong until so many visits."""
+
+    def __init__(self, recording, wrong_for: int) -> None:
+        self.views = {f"r{view.index}": view.index for view in recording.usable}
+        self.components = [set(self.views)]
+        self.visits, self._wrong_for, self._recording = 0, wrong_for, recording
+        self.site = type("Site", (), {"anchor": "r0"})()
+
+    def located_cameras(self):
+        poses = {name: self._recording.views[k].T_world_camera for name, k in self.views.items()}
+        if self.visits < self._wrong_for:
+            poses["r1"] = poses["r1"] @ inverse(pose(t=(5.0, 0.0, 0.0)))
+        return poses
+
+    def is_verified(self, robot):
+        return True
+
+    def visit(self, pair, clicks):
+        self.visits += 1
+
+
+@pytest.mark.parametrize("asks", [True, False])
+def test_a_fleet_that_only_claims_to_be_located_is_no_success(tmp_path, monkeypatch, asks):
+    write_posed_views(tmp_path / "set", count=3)
+    recording = open_recording(tmp_path / "set", "sparse_noisy")
+    monkeypatch.setattr(playing, "clicks_in", lambda *_: [(np.zeros(2), np.zeros(2))] * 3)
+    monkeypatch.setitem(POLICIES, "random", lambda *_: ("r0", "r1") if asks else None)
+    server = Claiming(recording, wrong_for=2)
+    run = playing.asked(Task(recording, {}, 0, Limits.of(2.0, rgbd=False)), server, "random")
+    assert run.claimed
+    assert run.located == asks and run.grave != asks
+    assert run.clicks == (6 if asks else 30)  # two visits; all that were allowed
+
+
+def test_grave_ends_are_counted_by_policy():
+    ended = played((3, 9, 30))
+    ended.runs[2].grave = True
+    summary = summarize([ended, played((3, 9, 30))], list(POLICIES))
+    assert (summary["grave_ends_questions"], summary["grave_ends_random"]) == (0, 1)
+
+
 def test_a_fleet_of_pictures_without_features_is_located_by_clicks(tmp_path):
-    write_posed_views(tmp_path / "set", count=5)
+    # points so few that clicks hit the right ones, and depths so sure that three tell a rotation
+    write_posed_views(tmp_path / "set", count=4, points=110, c2=0.002)
     options = QuestionsOptions(tmp_path / "set", "sparse_noisy", seeds=1, workers=1)
     summary = run(options, tmp_path / "out")
     with (tmp_path / "out" / "runs.csv").open(newline="") as file:
