@@ -60,6 +60,7 @@ class Frame:
             the frame before, nothing in sight has changed but the noise.
         model: intrinsics, extrinsics and noise of this very frame.
         up_camera: unit vector against gravity in the camera frame, where it is known.
+        frozen_s: for how long the images of a live camera have been identical to the last bit.
     """
 
     stamp_ns: int
@@ -68,6 +69,7 @@ class Frame:
     model: CameraModel
     up_camera: npt.NDArray[np.float64] | None = None
     up_sigma_rad: float | None = None
+    frozen_s: float = 0.0
 
 
 class Camera(Protocol):

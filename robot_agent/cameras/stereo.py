@@ -6,6 +6,7 @@ from a file (`robot_agent.cameras.rig`).
 
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -142,7 +143,8 @@ class StereoCamera:
 
     def frames(self) -> Iterator[Frame]:
         for pair in self._source.pairs():
-            yield self._matcher.frame(pair.left, pair.right, pair.stamp_ns)
+            frame = self._matcher.frame(pair.left, pair.right, pair.stamp_ns)
+            yield replace(frame, frozen_s=pair.frozen_s)
 
     def close(self) -> None:
         self._source.close()

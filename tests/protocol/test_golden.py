@@ -12,6 +12,7 @@ from tests.protocol.message_examples import DEPTH_M, EXAMPLES, SCATTERED_UVZ
 BARE_QUESTION = EXAMPLES[m.Question].model_dump() | {"suggestions": ()}
 ADDED = {
     "fleet.question.v1": {"suggestions": ()},
+    "fleet.view.v1": {"frozen_s": 0.0},
     "fleet.status.v1": {"waiting": {}, "wait_share": 0.0, "stage_ms": {}, "picked": ""},
 }
 """What the reader puts where an earlier version had no field yet."""

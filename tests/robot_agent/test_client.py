@@ -125,6 +125,16 @@ def test_a_frame_in_which_nothing_changed_is_sent_again_as_a_view_of_its_own(rob
     assert next_view(slots).cloud != first.cloud
 
 
+def test_a_camera_that_repeats_itself_is_told_with_its_views(robot, link):
+    slots = link.on_bulk(KEYS.cloud("*"))
+    ranges, said = DepthImage(DEPTH), []
+    for frozen_s in (0.0, 3.0, 4.0):
+        frame = Frame(stamp_ns=5, image=IMAGE, ranges=ranges, model=MODEL, frozen_s=frozen_s)
+        robot.push_frame(frame)
+        said.append(next_view(slots).frozen_s)
+    assert said == [0.0, 3.0, 4.0]
+
+
 def test_the_caller_may_reuse_its_buffers(robot, link):
     clouds = link.on_bulk(KEYS.cloud("r1"))
     assert wait_until(lambda: robot._sender._cloud.wanted, 5)
