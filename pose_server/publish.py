@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pose_server.anchoring import anchor_alarms, why_apart
 from pose_server.frames import body_pose, in_fleet, position_sigma, strayed
 from pose_server.geometry.se3 import inverse, rotation_angle
 from pose_server.matrix import pair_cells
@@ -12,6 +13,7 @@ from pose_server.pairs.judging import PairResult
 from pose_server.questions import questions
 from pose_server.settings import ServerSettings
 from pose_server.site import Robot, Site
+from pose_server.witnesses import doubt_alarms, why_doubted
 from protocol.messages import (
     Alignment,
     FleetState,
@@ -61,7 +63,9 @@ def robot_pose(
     component = site.component_name(root)
     age_s = max(0.0, stamp.now_s - kept.received_s)
     verdict = site.solution.nodes[newest.keyframe].verdict
-    located = not _why_not(site, settings, root, verdict, age_s, T, covariance, kept.median_depth_m)
+    located = not why_doubted(site, robot) and not _why_not(
+        site, settings, root, verdict, age_s, T, covariance, kept.median_depth_m
+    )
     robot.published_node = site.solution.nodes[newest.keyframe]
     jumped = _jumped(site, robot, newest.keyframe, T_fleet_root, component)
     if age_s > settings.fresh_s:
@@ -96,6 +100,8 @@ def why_not_located(site: Site, robot: Robot, settings: ServerSettings, now_s: f
         )
     if not robot.alive:
         return "its token is gone: the agent ended or lost the network"
+    if doubt := why_doubted(site, robot):
+        return doubt
     pose = robot.published
     if pose is None:
         return "its views are not aligned yet"
@@ -104,6 +110,8 @@ def why_not_located(site: Site, robot: Robot, settings: ServerSettings, now_s: f
     placed = site.camera_pose(pose.view) if pose.view in site.views else None
     if placed is None or placed[2] is None:
         return "its newest view does not hang on the fleet's graph"
+    if site.gauge is None or placed[0] != site.gauge:
+        return why_apart(site, robot)
     kept = site.views[pose.view]
     age_s = now_s - kept.received_s
     return _why_not(
@@ -246,7 +254,7 @@ def fleet_state(site: Site, settings: ServerSettings, stamp: Stamp, n: int) -> F
         questions=questions(site, stamp.now_s),
         events=tuple(site.events),
         pinned=site.pinned(),
-        alarms=site.alarms,
+        alarms=(*anchor_alarms(site), *doubt_alarms(site), *site.alarms),
         answered=site.asking.answers,
     )
 

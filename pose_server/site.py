@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from pose_server.anchoring import Anchoring
 from pose_server.asking import Asking
 from pose_server.calibration.memory import Memory
 from pose_server.correspondences.book import Book
@@ -23,6 +24,7 @@ from pose_server.pairs.schedule import Turns
 from pose_server.pairs.tracking import Attached, Track
 from pose_server.views import KeptView, ViewStore, same_camera
 from pose_server.widening import Widening
+from pose_server.witnesses import Witnesses
 from protocol.errors import FleetPoseError
 from protocol.keys import ordered_pair
 from protocol.messages import Alarm, Camera, PairCell, PairError, RobotPose, ViewName
@@ -148,6 +150,8 @@ class Site:
         factors: of the last solve, by id of the correspondence, and what they were made of.
         judged: points clicked in two views, and the relative pose that they were judged at last.
         bends: those of the alarms that say that a robot's depths bend.
+        witnesses: which robots' poses are not believed, and why.
+        anchoring: which origins the fleet has had.
         alarms_told: robots and kinds of alarms that were an event already.
     """
 
@@ -186,6 +190,8 @@ class Site:
     alarms: tuple[Alarm, ...] = ()
     bends: tuple[Alarm, ...] = ()
     alarms_told: set[tuple[str, str]] = field(default_factory=set)
+    witnesses: Witnesses = field(default_factory=Witnesses)
+    anchoring: Anchoring = field(default_factory=Anchoring)
     _edge_counts: Counter[RobotPair] = field(default_factory=Counter[RobotPair])
 
     def robot(self, name: str) -> Robot:
@@ -312,6 +318,7 @@ class Site:
             self.alarms_told = {of for of in self.alarms_told if of[0] != robot.name}
         if back_s > 0:
             told.append(f"the clock of {robot.name} went back by {back_s:.1f} s")
+            self.odometers.clock_went_back(robot.name)
         robot.camera, robot.stamp_ns = view.camera, view.stamp_ns
         robot.changes += len(told)
         if robot.changes <= MAX_CHANGES_TOLD:
