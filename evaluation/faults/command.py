@@ -56,7 +56,7 @@ def _scenarios(options: FaultOptions) -> dict[str, tuple[Scenario, int]]:
         scenarios["crashes"] = (crash, options.kills)
     if options.freeze_s:
         steps = round(options.freeze_s + frozen.BEFORE_S)
-        scenarios["frozen"] = (partial(frozen.run, options.freeze_s), steps)
+        scenarios["frozen client"] = (partial(frozen.run, options.freeze_s), steps)
     if options.late_clicks:
         rounds = -(-options.late_clicks // (late.DESKS * late.CLICKS_PER_ROUND))
         steps = round(rounds * late.LATE_S)
