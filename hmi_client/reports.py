@@ -152,6 +152,9 @@ def status_text(session: OperatorSession) -> str:
     if rows:
         head = ("robot", "located", "x m", "y m", "z m", "heading", "sigma", "why not")
         parts.append(table(head, rows))
+    alarms = session.fleet.alarms if session.fleet else ()
+    if alarms:
+        parts.append("\n".join(f"alarm: {alarm.robot}: {alarm.text}" for alarm in alarms))
     questions = session.fleet.questions if session.fleet else ()
     asked = [
         (str(k), f"{q.i} - {q.j}", length_text(q.gain), q.reason)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from pose_server.witnesses import why_doubted
+from pose_server.doubts import why_doubted
 from protocol.messages import Alarm, ViewName
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from pose_server.alarms import note_moment, note_motion
+from pose_server.doubts import DROVE, camera_frozen, note_lost, reconsider, wheels_disagree
 from pose_server.fleet.types import Edge
 from pose_server.odometry import camera_motion
 from pose_server.pairs.agenda import note_keyframe
@@ -18,7 +19,6 @@ from pose_server.pairs.refining import Start
 from pose_server.pairs.tracking import Attached, accepted, moved, standing
 from pose_server.site import Robot, Site, ViewPair
 from pose_server.views import STILL_PX, KeptView, something_moved, stands_still
-from pose_server.witnesses import DROVE, camera_frozen, note_lost, reconsider, wheels_disagree
 from protocol.messages import ViewName
 
 MOST_KEYFRAMES, LEAST_KEYFRAMES = 40, 6  # of a robot, in a small and in a large fleet

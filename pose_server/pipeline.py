@@ -16,6 +16,7 @@ from pose_server.anchoring import choose_anchor, gauge_of
 from pose_server.asking import note_clicks, note_selection, note_solved
 from pose_server.clicks import click_factors, clicks_between, judge
 from pose_server.correspondences.book import Outcome
+from pose_server.doubts import reconsider
 from pose_server.fleet.graph import solve_fleet
 from pose_server.fleet.types import Edge, SolveSettings
 from pose_server.following import back_job, followed, look_back, newest_arrived, track_job
@@ -28,7 +29,6 @@ from pose_server.pairs.tracking import Attached, accepted
 from pose_server.site import RobotPair, Site
 from pose_server.views import KeptView
 from pose_server.widening import note_open, wide_job
-from pose_server.witnesses import reconsider
 from protocol.errors import CodecError
 from protocol.keys import ordered_pair
 from protocol.messages import OperatorUpdate, Selection, ViewName

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pose_server.anchoring import anchor_alarms, why_apart
+from pose_server import alarms
+from pose_server.anchoring import why_apart
+from pose_server.doubts import why_doubted
 from pose_server.frames import body_pose, in_fleet, position_sigma, strayed
 from pose_server.geometry.se3 import inverse, rotation_angle
 from pose_server.matrix import pair_cells
@@ -13,7 +15,6 @@ from pose_server.pairs.judging import PairResult
 from pose_server.questions import questions
 from pose_server.settings import ServerSettings
 from pose_server.site import Robot, Site
-from pose_server.witnesses import doubt_alarms, why_doubted
 from protocol.messages import (
     Alignment,
     FleetState,
@@ -254,7 +255,7 @@ def fleet_state(site: Site, settings: ServerSettings, stamp: Stamp, n: int) -> F
         questions=questions(site, stamp.now_s),
         events=tuple(site.events),
         pinned=site.pinned(),
-        alarms=(*anchor_alarms(site), *doubt_alarms(site), *site.alarms),
+        alarms=alarms.standing(site),
         answered=site.asking.answers,
     )
 

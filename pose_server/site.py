@@ -12,6 +12,7 @@ from pose_server.anchoring import Anchoring
 from pose_server.asking import Asking
 from pose_server.calibration.memory import Memory
 from pose_server.correspondences.book import Book
+from pose_server.doubts import Doubts
 from pose_server.fleet.types import ClickFactor, Edge, EdgeKey, FleetSolution, NodePose
 from pose_server.frames import upright
 from pose_server.geometry.se3 import compose_covariance, inverse
@@ -24,7 +25,6 @@ from pose_server.pairs.schedule import Turns
 from pose_server.pairs.tracking import Attached, Track
 from pose_server.views import KeptView, ViewStore, same_camera
 from pose_server.widening import Widening
-from pose_server.witnesses import Witnesses
 from protocol.errors import FleetPoseError
 from protocol.keys import ordered_pair
 from protocol.messages import Alarm, Camera, PairCell, PairError, RobotPose, ViewName
@@ -150,7 +150,7 @@ class Site:
         factors: of the last solve, by id of the correspondence, and what they were made of.
         judged: points clicked in two views, and the relative pose that they were judged at last.
         bends: those of the alarms that say that a robot's depths bend.
-        witnesses: which robots' poses are not believed, and why.
+        doubts: which robots' poses are not believed, and why.
         anchoring: which origins the fleet has had.
         alarms_told: robots and kinds of alarms that were an event already.
     """
@@ -190,7 +190,7 @@ class Site:
     alarms: tuple[Alarm, ...] = ()
     bends: tuple[Alarm, ...] = ()
     alarms_told: set[tuple[str, str]] = field(default_factory=set)
-    witnesses: Witnesses = field(default_factory=Witnesses)
+    doubts: Doubts = field(default_factory=Doubts)
     anchoring: Anchoring = field(default_factory=Anchoring)
     _edge_counts: Counter[RobotPair] = field(default_factory=Counter[RobotPair])
 

@@ -143,6 +143,28 @@ def test_wheels_that_come_back_to_where_the_pixels_stood_agree_again():
     assert not alarms(site) and state_of(site, "r2", 4.0).why_not == ""
 
 
+def test_odometry_that_falls_silent_contradicts_nobody():
+    site = fleet()
+    drive(site, "r2", 1, 0.0)
+    receive(site, seen("r2", 1))
+    drive(site, "r2", 2, 1.0)
+    receive(site, seen("r2", 2), seen("r2", 3), seen("r2", 4))
+    assert not alarms(site) and state_of(site, "r2", 4.0).why_not == ""
+
+
+def test_a_robot_that_drove_blindly_and_was_started_anew_is_not_believed_for_the_same_pixels():
+    """What moves with it looks as it did; the odometry of the new life begins at nought."""
+    site = fleet()
+    for seq in range(4):
+        drive(site, "r2", seq, 1.0 * seq)
+        receive(site, seen("r2", seq + 1).model_copy(update={"stamp_ns": seq * 10**9}), at_s=seq)
+    assert alarms(site) == {("r2", "still")}
+    pipeline.receive_token(site, "r2", EPOCH, False)
+    drive(site, "r2", 6, 0.0, epoch=LATER)
+    receive(site, seen("r2", 6, epoch=LATER))
+    assert alarms(site) == {("r2", "still")} and not state_of(site, "r2", 6.0).pose.located
+
+
 def test_a_camera_that_repeats_itself_by_its_own_word_is_named_and_not_believed():
     site = fleet()
     frozen = {"frozen_s": 2.5}
@@ -167,7 +189,7 @@ def test_a_robot_that_is_carried_away_is_told_and_found_again_when_it_returns(wh
     assert all(state_of(site, other, 0.0).why_not == "" for other in ("r1", "r3"))
     receive(site, seen("r2", 3))
     assert not alarms(site) and state_of(site, "r2", 3.0).why_not == ""
-    assert "r2 is found again" in site.events
+    assert "r2 sees something known again" in site.events
 
 
 def test_a_robot_that_is_carried_to_what_another_one_sees_is_found_there():

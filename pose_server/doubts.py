@@ -6,6 +6,7 @@ lasts.
 """
 
 import logging
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -71,16 +72,21 @@ class Standstill:
 
 
 @dataclass
-class Witnesses:
-    """What contradicts what, by robot."""
+class Doubts:
+    """What contradicts what, by robot.
 
-    doubts: dict[str, Doubt] = field(default_factory=dict)
+    Attributes:
+        standing: why robots are not believed now.
+        standstills: robots whose odometry drives on without their pixels.
+    """
+
+    standing: dict[str, Doubt] = field(default_factory=dict)
     standstills: dict[str, Standstill] = field(default_factory=dict)
 
 
 def why_doubted(site: "Site", robot: "Robot") -> str:
     """Why a robot's newest pose must not be believed; empty if nothing speaks against it."""
-    doubt = site.witnesses.doubts.get(robot.name)
+    doubt = site.doubts.standing.get(robot.name)
     if doubt is not None:
         return doubt.text
     newest = robot.track.newest
@@ -93,7 +99,7 @@ def doubt_alarms(site: "Site") -> tuple[Alarm, ...]:
     """An alarm for every doubt about a robot that is there."""
     return tuple(
         Alarm(robot=name, kind=doubt.kind, text=doubt.text)
-        for name, doubt in sorted(site.witnesses.doubts.items())
+        for name, doubt in sorted(site.doubts.standing.items())
         if name in site.robots and site.robots[name].alive
     )
 
@@ -102,10 +108,8 @@ def camera_frozen(site: "Site", robot: "Robot", view: KeptView) -> bool:
     """Whether a robot says of a view that its camera gives the same image again and again: what it
     shows is of the past.
     """
-    known = site.witnesses.doubts.get(robot.name)
     if not view.frozen_s:
-        if known is not None and known.kind == "frozen":
-            _believe(site, robot.name, "gives new images again")
+        _believe(site, robot.name, ("frozen",), "gives new images again")
         return False
     text = (
         f"the camera of {robot.name} is frozen: its images are identical to the last bit, and no "
@@ -122,7 +126,7 @@ def wheels_disagree(site: "Site", robot: "Robot", here: Attached) -> bool:
     Args:
         here: the robot's newest view, where its pixels put it.
     """
-    kept, standstills = site.views[here.view], site.witnesses.standstills
+    kept, standstills = site.views[here.view], site.doubts.standstills
     stood = standstills.get(robot.name)
     moment = site.odometers.at(here.view, kept.stamp_ns)
     if stood is None:
@@ -131,23 +135,24 @@ def wheels_disagree(site: "Site", robot: "Robot", here: Attached) -> bool:
             return False
         standstills[robot.name] = Standstill(*before, kept.received_s)
         return True
-    before = stood.at, stood.moment
-    if moment is not None and not _contradict(kept, before, here, moment):
-        _believe(site, robot.name, "is seen to move as its odometry says, or at rest")
-        return False
-    if _shown(before[0], here, kept.median_depth_m) > _STILL:
-        _believe(site, robot.name, "is seen to move again")
+    if stood.at.view.epoch != here.view.epoch:
+        moment = None  # odometry of another life has another frame
+    named = robot.name in site.doubts.standing
+    unclear = moment is None and not named  # its odometry fell silent
+    agreed = moment is not None and not _contradict(kept, (stood.at, stood.moment), here, moment)
+    if unclear or agreed or _shown(stood.at, here, kept.median_depth_m) > _STILL:
+        del standstills[robot.name]
+        _believe(site, robot.name, ("still",), "is seen to move as its odometry says")
         return False
     if moment is not None and kept.received_s - stood.since_s >= _CONFIRMED_S:
-        _doubt(
-            site, robot, Doubt("still", _still_text(robot.name, stood.moment, moment), here.view)
-        )
+        text = _still_text(robot.name, stood.moment, moment)
+        _doubt(site, robot, Doubt("still", text, here.view))
     return True
 
 
 def note_lost(site: "Site", robot: "Robot", view: ViewName) -> None:
     """A robot's view aligns with none of its keyframes, and no odometry leads there."""
-    known = site.witnesses.doubts.get(robot.name)
+    known = site.doubts.standing.get(robot.name)
     if known is not None and known.kind in ("lost", "carried"):
         return  # it is still where nothing is known
     lived = any(one.epoch == view.epoch and one != view for one in robot.track.attached)
@@ -167,7 +172,7 @@ def reconsider(site: "Site") -> None:
     """Robots that were lost are found again where they are joined to more than what they saw since
     then.
     """
-    for name, doubt in list(site.witnesses.doubts.items()):
+    for name, doubt in list(site.doubts.standing.items()):
         robot = site.robots.get(name)
         if robot is None or doubt.kind not in ("lost", "carried"):
             continue
@@ -178,23 +183,25 @@ def reconsider(site: "Site") -> None:
             continue
         root = site.solution.nodes[newest.keyframe].root
         if not strange.issuperset(site.solution.components[root]):
-            _believe(site, name, "is found again")
+            _believe(site, name, ("lost", "carried"), "sees something known again")
 
 
 def _doubt(site: "Site", robot: "Robot", doubt: Doubt) -> None:
-    known = site.witnesses.doubts.get(robot.name)
+    known = site.doubts.standing.get(robot.name)
     if known is not None and known.kind == doubt.kind:
-        site.witnesses.doubts[robot.name] = replace(known, text=doubt.text)
+        site.doubts.standing[robot.name] = replace(known, text=doubt.text)
         return
-    site.witnesses.doubts[robot.name] = doubt
+    site.doubts.standing[robot.name] = doubt
     site.touched.add(robot.name)  # its pose is told anew, as one that is not located
     site.say(doubt.text)
     log.warning("alarm robot=%s kind=%s text=%s", robot.name, doubt.kind, doubt.text)
 
 
-def _believe(site: "Site", name: str, why: str) -> None:
-    site.witnesses.standstills.pop(name, None)
-    if site.witnesses.doubts.pop(name, None) is not None:
+def _believe(site: "Site", name: str, kinds: Collection[Kind], why: str) -> None:
+    """Ends a doubt of one of these kinds, if there is one."""
+    known = site.doubts.standing.get(name)
+    if known is not None and known.kind in kinds:
+        del site.doubts.standing[name]
         site.touched.add(name)
         site.say(f"{name} {why}")
 
