@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from pose_server.anchoring import Anchoring
 from pose_server.asking import Asking
+from pose_server.calibration.clocks import LEAST_AHEAD_S
 from pose_server.calibration.memory import Memory
 from pose_server.correspondences.book import Book
 from pose_server.doubts import Doubts
@@ -318,7 +319,9 @@ class Site:
             self.alarms_told = {of for of in self.alarms_told if of[0] != robot.name}
         if back_s > 0:
             told.append(f"the clock of {robot.name} went back by {back_s:.1f} s")
+        if back_s > LEAST_AHEAD_S:  # it was set: what was noted of it before tells nothing
             self.odometers.clock_went_back(robot.name)
+            self.depths.clocks.forget(robot.name)
         robot.camera, robot.stamp_ns = view.camera, view.stamp_ns
         robot.changes += len(told)
         if robot.changes <= MAX_CHANGES_TOLD:

@@ -230,7 +230,7 @@ class OldEpoch(Trouble):
             publisher.put(pack(pose), encoding_of(RobotPose))
 
     def named(self) -> list[str]:
-        return [reason for reason in self._robot.drops.snapshot() if "epoch" in reason]
+        return [reason for reason in self._robot.drops.snapshot() if "server" in reason]
 
     def poses(self) -> "AsRobot":
         return AsRobot(self._robot, self.observer)
