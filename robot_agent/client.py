@@ -9,6 +9,7 @@ robot.close()
 
 import logging
 import time
+from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
@@ -135,7 +136,7 @@ class FleetRobot:
             model=self._camera,
             up_camera=up_camera,
             up_sigma_rad=up_sigma_rad,
-            frozen_s=self._repeats.frozen_s((image,), time.monotonic()) if live else 0.0,
+            raw=(image,) if live else (),
         )
         if T_odom_robot is not None:
             self.push_odometry(T_odom_robot, frame.stamp_ns, odometry_covariance)
@@ -153,6 +154,9 @@ class FleetRobot:
         self._presence.check()
         _check_sizes(frame)
         _check_up(frame.up_camera)
+        if frame.raw:
+            frozen_s = self._repeats.frozen_s(frame.raw, time.monotonic())
+            frame = replace(frame, frozen_s=frozen_s)
         name = ViewName(robot=self.name, epoch=self.epoch, seq=self._seq)
         self._seq += 1
         self._sender.send(name, frame)

@@ -4,7 +4,7 @@ import logging
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -14,7 +14,6 @@ import numpy.typing as npt
 from protocol.errors import DataFolderError
 from robot_agent.cameras.base import CameraError
 from robot_agent.cameras.files import read_colour
-from robot_agent.cameras.frozen import Repeats
 from robot_agent.cameras.reader import Reader
 from robot_agent.cameras.replay import replay_order
 from robot_agent.cameras.video import (
@@ -42,14 +41,12 @@ class ImagePair:
         left, right: (H, W, 3) BGR or (H, W) grey, uint8.
         stamp_ns: UTC of the robot's clock when the left one was taken.
         skew_ms: how much later the right one was taken.
-        frozen_s: for how long a device has given the same image.
     """
 
     left: npt.NDArray[np.uint8]
     right: npt.NDArray[np.uint8]
     stamp_ns: int
     skew_ms: float = 0.0
-    frozen_s: float = 0.0
 
 
 class PairSource(Protocol):
@@ -177,7 +174,6 @@ class PairStream:
         self._skews_ms: list[float] = []
         self._dropped = 0
         self._told = False
-        self._repeats = Repeats() if players[0].live else None
         self._readers = [Reader(player, self._changed) for player in players]
 
     def pairs(self) -> Iterator[ImagePair]:
@@ -187,7 +183,7 @@ class PairStream:
             if abs(pair.skew_ms) <= self._max_skew_ms:
                 misses_since_s = None
                 self._note(pair)
-                yield self._alive(pair)
+                yield pair
                 continue
             misses_since_s = misses_since_s or time.monotonic()
             self._drop(pair, misses_since_s)
@@ -272,13 +268,6 @@ class PairStream:
         )
         self._told = True
         self._skews_ms, self._dropped = [], 0
-
-    def _alive(self, pair: ImagePair) -> ImagePair:
-        """A device's pair with for how long it has given the same."""
-        if self._repeats is None:
-            return pair
-        frozen_s = self._repeats.frozen_s((pair.left, pair.right), 1e-9 * pair.stamp_ns)
-        return replace(pair, frozen_s=frozen_s)
 
     def _drop(self, pair: ImagePair, since_s: float) -> None:
         self._dropped += 1

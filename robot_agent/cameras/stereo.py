@@ -142,9 +142,10 @@ class StereoCamera:
         self._source = source
 
     def frames(self) -> Iterator[Frame]:
+        live = self._source.folder is None
         for pair in self._source.pairs():
             frame = self._matcher.frame(pair.left, pair.right, pair.stamp_ns)
-            yield replace(frame, frozen_s=pair.frozen_s)
+            yield replace(frame, raw=(pair.left, pair.right)) if live else frame
 
     def close(self) -> None:
         self._source.close()

@@ -18,7 +18,6 @@ import numpy.typing as npt
 from protocol.errors import FleetPoseError, UnreachableError
 from protocol.messages import ROBOT_FROM_CAMERA
 from robot_agent.cameras.base import Frame
-from robot_agent.cameras.frozen import Repeats
 from robot_agent.cameras.rig import rig_of
 from robot_agent.cameras.stereo import StereoMatcher
 
@@ -118,11 +117,9 @@ class SyntheticCamera:
         self._matcher = StereoMatcher(replace(rig, T_robot_left=mount()))
 
     def frames(self) -> Iterator[Frame]:
-        repeats = Repeats()
         while True:
             left, right, stamp_ns = self._link.next()
-            frozen_s = repeats.frozen_s((left, right), 1e-9 * stamp_ns)
-            yield replace(self._matcher.frame(left, right, stamp_ns), frozen_s=frozen_s)
+            yield replace(self._matcher.frame(left, right, stamp_ns), raw=(left, right))
 
     def close(self) -> None:
         self._link.close()

@@ -1,5 +1,5 @@
-"""Where the fleet's origin is: it stays, is given up when the fleet has left it, and is taken again;
-without network and workers.
+"""The fleet's origin: it stays, is given up when the fleet has left it, and is taken again; without
+network and workers.
 """
 
 from dataclasses import replace

@@ -1,14 +1,13 @@
 """A live camera that gives the same image again and again is told from one that stands still."""
 
-import threading
-import time
-
 import numpy as np
 
-from robot_agent.agent import paced
+from robot_agent.cameras.base import DepthImage, Frame
 from robot_agent.cameras.frozen import LEAST_REPEATS, Repeats
 from robot_agent.cameras.pairs import PairStream, open_pairs
+from robot_agent.cameras.stereo import StereoCamera
 from robot_agent.cameras.video import DevicePlayer, VideoSettings
+from tests.robot_agent.test_client import DEPTH, IMAGE, MODEL
 from tests.robot_agent.video_makers import Device, write_video
 
 SCENE = np.random.default_rng(0).integers(20, 200, (48, 64), dtype=np.uint8)
@@ -44,27 +43,22 @@ def test_the_dark_is_not_frozen():
     assert seconds([(np.zeros((48, 64), np.uint8),)] * 6) == [0.0] * 6
 
 
-class FrozenDevice(Device):
-    """Its driver hands out one image for ever, with new stamps."""
+class Shows:
+    """A matcher that takes every pair for a frame."""
 
+    def frame(self, left, right, stamp_ns):
+        return Frame(stamp_ns, IMAGE, DepthImage(DEPTH), MODEL)
+
+
+class TexturedDevice(Device):
     def retrieve(self):
         return True, np.dstack([SCENE] * 3)
 
 
-def longest_s(source, at_most_s: float) -> float:
-    """What a source says of its camera, until it says something."""
-    end_s = time.monotonic() + at_most_s
-    frozen_s = 0.0
-    for pair in paced(source.pairs(), 5.0, threading.Event()):
-        frozen_s = max(frozen_s, pair.frozen_s)
-        if frozen_s or time.monotonic() > end_s:
-            break
-    source.close()
-    return frozen_s
-
-
-def test_a_frozen_device_is_told_and_a_video_held_still_is_not(tmp_path):
-    player = DevicePlayer("/dev/video0", VideoSettings(), FrozenDevice())
-    assert longest_s(PairStream([player], 10.0), 5.0) >= 2.0
-    held = write_video(tmp_path / "v.mkv", [np.dstack([SCENE] * 3)] * 2, 50)
-    assert longest_s(open_pairs(held, "hold"), 3.0) == 0.0
+def test_a_device_shows_what_it_gave_and_a_recording_has_nothing_to_show(tmp_path):
+    device = PairStream([DevicePlayer("/dev/video0", VideoSettings(), TexturedDevice())], 10.0)
+    film = write_video(tmp_path / "v.mkv", [np.dstack([SCENE] * 3)] * 3, 50)
+    for source, eyes in ((device, 2), (open_pairs(film, "hold"), 0)):
+        camera = StereoCamera(Shows(), source)
+        assert len(next(camera.frames()).raw) == eyes
+        camera.close()
