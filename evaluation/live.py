@@ -94,6 +94,7 @@ def faults(
         ),
     ] = "",
     seconds: Annotated[float, typer.Option(min=10, help="With each of these.")] = 50.0,
+    robots: Annotated[int, typer.Option(min=3, max=16, help="With each of these.")] = 4,
     seed: Annotated[int, typer.Option(help="Which processes are killed, and when.")] = 0,
 ) -> None:
     """Kill server, router, robots and the operator's client under clicks, freeze a client, click
@@ -110,6 +111,7 @@ def faults(
         late_clicks=1000 * usual if late_clicks is None else late_clicks,
         inject=tuple(inject.split(",")) if inject else (),
         inject_s=seconds,
+        inject_robots=robots,
         seed=seed,
     )
     run(options, out)

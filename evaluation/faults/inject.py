@@ -14,7 +14,6 @@ from deploy.local_fleet import LocalFleet, wait_running
 from evaluation.faults.faulty import CLOCK_AHEAD_S
 from evaluation.faults.troubles import (
     FAULTY,
-    PLACES,
     Carried,
     CarriedOne,
     ClockStep,
@@ -24,6 +23,7 @@ from evaluation.faults.troubles import (
     OldEpoch,
     Still,
     Trouble,
+    places_for,
 )
 from evaluation.fleet import (
     FleetPlan,
@@ -160,6 +160,7 @@ def run(
     logs: Path,
     progress: Callable[[], None],
     until_named: bool = False,
+    robots: int = ROBOTS,
 ) -> dict[str, Any]:
     """Runs a fleet with a fault for some time, or until it is named; returns `<fault>_named` and so
     on.
@@ -168,10 +169,10 @@ def run(
         FleetPoseError: the fleet does not come up, or a process ends.
     """
     fault = FAULTS[name]
-    names = [f"r{k + 1}" for k in range(ROBOTS)]
-    places = [f"r{k + 1}" for k in range(PLACES if fault.later else ROBOTS)]
+    places = [f"r{k + 1}" for k in range(places_for(robots) if fault.later else robots)]
+    names = places[:robots]
     plan = plan_world(places, scratch, moving=False, seed=0)
-    plan = replace(plan, robots=plan.robots[:ROBOTS], world=(*plan.world, *fault.world))
+    plan = replace(plan, robots=plan.robots[:robots], world=(*plan.world, *fault.world))
     run = _Run(name, fault, Watch(fault))
     with LocalFleet(logs) as fleet:
         start_servers(fleet, plan, 2, scratch / "state")
@@ -180,7 +181,7 @@ def run(
         trouble = fault.trouble(fleet, plan, observer, link, scratch)
         try:
             _start_robots(name, fault, trouble)
-            wait_started(fleet, observer, ROBOTS)
+            wait_started(fleet, observer, robots)
             if fault.later:
                 run.until_located(trouble, names)
                 trouble.begin()

@@ -26,12 +26,15 @@ from protocol.transport import Link, Publisher, SessionSettings
 from robot_agent.client import FleetRobot
 
 FAULTY = "r2"
-AWAY = "r6"  # a place in a ring of eight that sees nothing of what the second one sees
-PLACES = 8
 FORGED_EPOCH = "badbadbadbad"
 _FORGED_M = 100.0
 _OTHER_SEED = 1
 _UP_WITHIN_S = 60.0
+
+
+def places_for(robots: int) -> int:
+    """How many places a world needs for so many robots, and as many for robots that are away."""
+    return 2 * robots
 
 
 class Trouble:
@@ -52,6 +55,15 @@ class Trouble:
     ) -> None:
         self.fleet, self.plan, self.observer = fleet, plan, observer
         self.link, self.scratch = link, scratch
+
+    @property
+    def away(self) -> str:
+        """A place across the ring, that sees nothing of what the robot with the fault sees."""
+        return f"r{len(self.plan.robots) + 2}"
+
+    def elsewhere(self, robot: RobotPlan, place: str) -> RobotPlan:
+        """The same robot at another place of its world."""
+        return replace(robot, data=f"{robot.data.rpartition('/')[0]}/{place}")
 
     def start(self, robot: RobotPlan) -> None:
         """Starts the robot that is to have the fault."""
@@ -93,7 +105,7 @@ class Signalled(Trouble):
     kind = ""
 
     def start(self, robot: RobotPlan) -> None:
-        sources = [robot.data, f"{robot.data.rpartition('/')[0]}/{AWAY}"]
+        sources = [robot.data, self.elsewhere(robot, self.away).data]
         arguments = (robot.name, self.fleet.endpoint, self.fleet.site, str(robot.rate_hz), *sources)
         module = "evaluation.faults.troubled"
         self.fleet.start(robot.name, module, self.kind, *arguments, nice=10, json_lines=True)
@@ -156,7 +168,7 @@ class CarriedOne(Trouble):
     _lives: tuple[tuple[str, str], ...] = ()
 
     def begin(self) -> None:
-        self._restart(AWAY)
+        self._restart(self.away)
 
     def end(self) -> None:
         self._restart(FAULTY)
@@ -168,9 +180,8 @@ class CarriedOne(Trouble):
     def _restart(self, place: str) -> None:
         self.fleet.stop(FAULTY)
         robot = next(robot for robot in self.plan.robots if robot.name == FAULTY)
-        data = f"{robot.data.rpartition('/')[0]}/{place}"
         before = {life for _, life in self.observer.lives()}
-        start_robot(self.fleet, replace(robot, data=data))
+        start_robot(self.fleet, self.elsewhere(robot, place))
         _wait(self.fleet, lambda: bool(self._new(before)), "the robot that was carried")
         self._lives = (*self._lives, *((life, place) for life in self._new(before)))
 
@@ -193,8 +204,8 @@ class Carried(Trouble):
         self.fleet.stop("world")
         folder = self.scratch / "there"
         folder.mkdir()
-        names = [f"r{k + 1}" for k in range(PLACES)]
-        self._there = there = plan_world(names, folder, moving=False, seed=_OTHER_SEED)
+        places = [f"r{k + 1}" for k in range(places_for(len(self.plan.robots)))]
+        self._there = there = plan_world(places, folder, moving=False, seed=_OTHER_SEED)
         self.fleet.start("other world", "evaluation", *there.world)
         assert isinstance(there.truth, WorldTruth)
         _wait(self.fleet, there.truth.is_there, "the other world")
