@@ -14,7 +14,7 @@ from evaluation.datasets import CloudKind, open_recording
 from evaluation.fleet_report import FleetResult, write_results
 from evaluation.fleet_scoring import PoseNow, SampleRow, score_sample
 from evaluation.memory import Memory
-from evaluation.observer import Observer
+from evaluation.observer import Believed, Observer
 from evaluation.operator import SimulatedOperator
 from evaluation.parts import parts_of
 from evaluation.report import output_folder, progress_bar
@@ -356,7 +356,7 @@ def wait_started(fleet: LocalFleet, observer: Observer, robots: int) -> float:
 
 
 def poses_now(
-    observer: Observer, truth: Truth, ahead_ns: Mapping[str, int] | None = None
+    observer: Believed, truth: Truth, ahead_ns: Mapping[str, int] | None = None
 ) -> dict[str, PoseNow]:
     """The newest pose of each robot beside the truth; a stale pose is neither located nor verified.
 

@@ -126,14 +126,20 @@ def faults(
         int | None, typer.Option(min=0, help="Click in images half a minute old. [default: 1000]")
     ] = None,
     inject: Annotated[
-        str, typer.Option(help="Of none,skew,clock,baseline,person; alone unless more is given.")
+        str,
+        typer.Option(
+            help="Of none,skew,clock,baseline,person,frozen,still,kidnapped,carried,carried-one,"
+            "leave,old-epoch,clock-step; alone unless more is given."
+        ),
     ] = "",
     seconds: Annotated[float, typer.Option(min=10, help="With each of these.")] = 50.0,
+    robots: Annotated[int, typer.Option(min=3, max=16, help="With each of these.")] = 4,
     seed: Annotated[int, typer.Option(help="Which processes are killed, and when.")] = 0,
 ) -> None:
     """Kill server, router, robots and the operator's client under clicks, freeze a client, click
-    late; count what is lost. Or spoil a robot's calibration, clock or trigger, or have somebody
-    walk through the scene (--inject), and see whether it is named and does harm. 0: not this.
+    late; count what is lost. Or spoil a robot's calibration, clock or trigger, have somebody walk
+    through the scene, freeze a camera, carry robots away (--inject), and see whether it is named
+    and does harm. 0: not this.
     """
     from evaluation.faults.command import FaultOptions, run
 
@@ -144,6 +150,7 @@ def faults(
         late_clicks=1000 * usual if late_clicks is None else late_clicks,
         inject=tuple(inject.split(",")) if inject else (),
         inject_s=seconds,
+        inject_robots=robots,
         seed=seed,
     )
     run(options, out)

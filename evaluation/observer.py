@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from protocol import codec
 from protocol.errors import FleetPoseError
@@ -67,6 +67,14 @@ class SeenAlignment:
 def digest_of(cloud: DepthCloud | ScatteredCloud) -> str:
     """What identifies a cloud: a hash of its encoded bytes."""
     return hashlib.sha256(cloud.data).hexdigest()
+
+
+class Believed(Protocol):
+    """Poses that somebody takes for true, and the views that they are of."""
+
+    def poses(self) -> dict[str, SeenPose]: ...
+
+    def view(self, name: ViewName) -> SeenView | None: ...
 
 
 class _Arrivals(Slots):
@@ -169,6 +177,12 @@ class Observer:
         """Robots whose token is there."""
         with self._lock:
             return sum(1 for key in self._alive if "/robot/" in key)
+
+    def lives(self) -> list[tuple[str, str]]:
+        """Name and epoch of the robots whose tokens are there."""
+        with self._lock:
+            alive = [key.split("/") for key in self._alive if "/robot/" in key]
+        return [(chunks[-3], chunks[-1]) for chunks in alive]
 
     def server_alive(self) -> bool:
         return bool(self.server_epochs())

@@ -160,6 +160,9 @@ def status_text(session: OperatorSession) -> str:
     doubtful = doubtful_rows(session)
     if doubtful:
         parts.append(table(("pair", "error", "tried", "most likely to be wrong"), doubtful))
+    alarms = session.fleet.alarms if session.fleet else ()
+    if alarms:
+        parts.append("\n".join(f"alarm: {alarm.robot}: {alarm.text}" for alarm in alarms))
     questions = session.fleet.questions if session.fleet else ()
     asked = [
         (str(k), f"{q.i} - {q.j}", length_text(q.gain), q.reason)

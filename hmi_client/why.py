@@ -8,10 +8,12 @@ from hmi_client.model import Pair
 from hmi_client.reports import Record, pose_record, table
 from hmi_client.session import OperatorSession
 from protocol.keys import ordered_pair
-from protocol.messages import Alignment, PairCell
+from protocol.messages import Alarm, Alignment, PairCell
 
 BEST_FIRST = ("verified", "plausible", "ambiguous", "rejected", None)
 SHOWN_PAIRS = 12
+CLICKS_HELP = {"lost", "carried"}
+"""Kinds of alarms: clicks tell where a robot is that sees nothing known, and mend no camera."""
 
 
 def tried_pairs(session: OperatorSession, robot: str) -> list[Pair]:
@@ -52,7 +54,8 @@ def why_record(
         "pairs": [pair_of(session, robot, c, alignments.get((c.i, c.j))) for c in known],
         "untried": len(session.robots()) - 1 - len(known),
         "question": question_of(session, robot),
-        "alarms": alarms_of(session, robot),
+        "alarms": [alarm.text for alarm in alarms_of(session, robot)],
+        "alarm_kinds": [alarm.kind for alarm in alarms_of(session, robot)],
     }
     return record | {"next": next_for(record)}
 
@@ -85,9 +88,9 @@ def pair_of(
     }
 
 
-def alarms_of(session: OperatorSession, robot: str) -> list[str]:
-    """What the server says of a robot's calibration."""
-    return [a.text for a in (session.fleet.alarms if session.fleet else ()) if a.robot == robot]
+def alarms_of(session: OperatorSession, robot: str) -> list[Alarm]:
+    """What the server says of what is wrong with a robot."""
+    return [a for a in (session.fleet.alarms if session.fleet else ()) if a.robot == robot]
 
 
 def question_of(session: OperatorSession, robot: str) -> Record | None:
@@ -106,7 +109,7 @@ def next_for(record: Record) -> str:
         return f"start its agent, or check its network: robot-agent run --name {robot} ..."
     if record["newest_view"] is None:
         return "check that its camera runs and that it may publish under its name"
-    if record["alarms"]:
+    if not CLICKS_HELP.issuperset(record["alarm_kinds"]):
         return "do what its alarm says first: clicks do not make up for it"
     outliers = [pair["other"] for pair in record["pairs"] if _outliers(pair)]
     if outliers and not record["located"]:

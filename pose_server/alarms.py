@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from pose_server.anchoring import anchor_alarms
 from pose_server.calibration.findings import (
     LEAST_BEND_OTHER,
     LEAST_BEND_STEREO,
@@ -18,6 +19,7 @@ from pose_server.calibration.findings import (
     wrong_scales,
 )
 from pose_server.calibration.memory import Said
+from pose_server.doubts import doubt_alarms
 from pose_server.geometry.motion import Mask
 from pose_server.pairs.engine import Done
 from pose_server.site import Site
@@ -31,6 +33,11 @@ _FLOW_NEAR_S = 3.0
 _MOVING_POINTS = 6  # a few that are wrong alike are no event
 _MOTION_OVER_S = 30.0  # without motion for so long, the next one is told again
 _CHECK = "`robot-agent calibrate-check`"
+
+
+def standing(site: Site) -> tuple[Alarm, ...]:
+    """All alarms that stand now."""
+    return (*anchor_alarms(site), *doubt_alarms(site), *site.alarms)
 
 
 def note_depths(site: Site, done: Done) -> None:

@@ -2,20 +2,21 @@
 comes, and older ones that an operator looks at.
 """
 
+from collections import Counter
 from typing import TypeVar
 
 import numpy as np
 
 from pose_server.alarms import note_moment, note_motion
+from pose_server.doubts import DROVE, camera_frozen, note_lost, reconsider, wheels_disagree
 from pose_server.fleet.types import Edge
-from pose_server.geometry.se3 import adjoint, inverse
-from pose_server.odometry import motion
+from pose_server.odometry import camera_motion
 from pose_server.pairs.agenda import note_keyframe
 from pose_server.pairs.candidates import candidate_views
 from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.refining import Start
-from pose_server.pairs.tracking import Attached, accepted, moved
+from pose_server.pairs.tracking import Attached, accepted, moved, standing
 from pose_server.site import Robot, Site, ViewPair
 from pose_server.views import STILL_PX, KeptView, something_moved, stands_still
 from protocol.messages import ViewName
@@ -32,7 +33,9 @@ def newest_arrived(site: Site, robot: Robot, view: KeptView) -> None:
     """
     robot.newest = robot.waiting = view.name
     site.odometers.at(view.name, view.stamp_ns)
-    if not robot.track.keyframes:
+    if camera_frozen(site, robot, view):
+        robot.waiting = None
+    elif not robot.track.keyframes:
         robot.waiting = None
         new_keyframe(site, robot, view.name)
     elif _stayed(site, robot, view, robot.track.reference or robot.track.keyframe_near(view.name)):
@@ -95,6 +98,8 @@ def followed(site: Site, done: Done) -> None:
         robot.track.masks |= {name: mask for name, mask in masks if mask is not None}
         note_motion(site, view, done.result.moving[1])
         note_moment(site, done)
+        if not past and _is_refuted(site, robot, view, keyframe, done.result):
+            return
         depth = site.views[view].median_depth_m
         nearer = None if past else _nearer_keyframe(site, robot, keyframe, done.result, depth)
         step = robot.track.take(view, keyframe, done.result, depth, nearer)
@@ -107,6 +112,7 @@ def followed(site: Site, done: Done) -> None:
         _ask_for_covariance(site, robot.track.attached[view].keyframe)
     if past:
         _placed(site, view)
+    reconsider(site)
 
 
 def new_keyframe(site: Site, robot: Robot, view: ViewName) -> None:
@@ -116,11 +122,10 @@ def new_keyframe(site: Site, robot: Robot, view: ViewName) -> None:
     link = robot.track.link_of(view)
     robot.track.begin(view)
     if link is not None:
-        site.link(
-            Edge(
-                link.keyframe, view, link.T_keyframe_view, link.covariance, link.verdict, "odometry"
-            )
-        )
+        # in another life the robot did not come from there by what it did: it was recognised
+        kind = "odometry" if link.keyframe.epoch == view.epoch else "pair"
+        T, covariance = link.T_keyframe_view, link.covariance
+        site.link(Edge(link.keyframe, view, T, covariance, link.verdict, kind))
     note_keyframe(site, view)
     site.dirty = True
     share = FLEET_KEYFRAMES // max(len(site.robots), 1)
@@ -156,8 +161,10 @@ def _follow(site: Site, robot: Robot, view: ViewName) -> Job | None:
             new_keyframe(site, robot, view)
             return None
         if robot.track.give_up(view) == "segment":
-            what = "hangs on none of its keyframes" if past else "begins a new segment"
-            site.say(f"{robot.name} lost track of itself: its view {view.seq} {what}")
+            if past:
+                site.say(f"{robot.name}'s view {view.seq} hangs on none of its keyframes")
+            else:
+                note_lost(site, robot, view)
         new_keyframe(site, robot, view)
         if past:
             _placed(site, view)
@@ -177,12 +184,27 @@ def _follow(site: Site, robot: Robot, view: ViewName) -> Job | None:
 
 def _by_odometry(site: Site, robot: Robot, view: ViewName) -> Attached | None:
     """Where a view that aligns with nothing hangs by its robot's own odometry, for a few views in a
-    row: a robot that was carried away does not know.
+    row: a robot that was carried away does not know. One that did not drive would still see what it
+    saw: its pixels contradict its wheels.
     """
     newest = robot.track.newest
     if newest is None or robot.track.blind >= MOST_BLIND or newest.keyframe not in site.views:
         return None
+    since = _moved_by_odometry(site, newest.view, view) if newest.view in site.views else None
+    if since is not None and moved(since.T_keyframe_view, site.views[view].median_depth_m) < DROVE:
+        return None
     return _moved_by_odometry(site, newest.keyframe, view)
+
+
+def _is_refuted(
+    site: Site, robot: Robot, view: ViewName, keyframe: ViewName, result: PairResult
+) -> bool:
+    """Whether a robot's odometry contradicts where an alignment hangs its newest view."""
+    if not accepted(result):
+        return False
+    assert result.T_i_j is not None and result.covariance is not None
+    here = Attached(view, keyframe, result.T_i_j, result.covariance, result.verdict)
+    return wheels_disagree(site, robot, here)
 
 
 def _moved_by_odometry(site: Site, keyframe: ViewName, view: ViewName) -> Attached | None:
@@ -192,16 +214,8 @@ def _moved_by_odometry(site: Site, keyframe: ViewName, view: ViewName) -> Attach
     b = site.odometers.at(view, now.stamp_ns)
     if a is None or b is None or keyframe.epoch != view.epoch:
         return None
-    T, covariance = motion(a, b)
-    T_camera_robot = inverse(before.camera.T_robot_camera)
-    A = adjoint(T_camera_robot)
-    return Attached(
-        view,
-        keyframe,
-        T_camera_robot @ T @ now.camera.T_robot_camera,
-        A @ covariance @ A.T,
-        "plausible",
-    )
+    T, covariance = camera_motion(a, b, before.camera.T_robot_camera, now.camera.T_robot_camera)
+    return Attached(view, keyframe, T, covariance, "plausible")
 
 
 def _stayed(site: Site, robot: Robot, view: KeptView, keyframe: ViewName | None) -> bool:
@@ -214,7 +228,10 @@ def _stayed(site: Site, robot: Robot, view: KeptView, keyframe: ViewName | None)
     if not stands_still(before, view) or something_moved(before, view):
         return False
     sigma_rad = STILL_PX / float(view.camera.K[0, 0])
-    robot.track.stay(view.name, keyframe, sigma_rad, sigma_rad * view.median_depth_m)
+    here = standing(view.name, keyframe, sigma_rad, sigma_rad * view.median_depth_m)
+    if view.name not in robot.track.past and wheels_disagree(site, robot, here):
+        return True  # it waits for nothing, and hangs nowhere
+    robot.track.hang(here)
     _ask_for_covariance(site, keyframe)
     return True
 
@@ -254,8 +271,8 @@ def _drop_keyframe(site: Site, robot: Robot) -> None:
     """Forgets the oldest keyframe that nothing important hangs on."""
     clicked = {site.attached(view) for view in site.book.views()}
     kept = {here.keyframe for here in clicked if here is not None}
-    kept |= {site.gauge, robot.track.reference}
-    oldest = next((view for view in robot.track.keyframes if view not in kept), None)
+    kept |= {site.gauge, robot.track.reference, *site.anchoring.origins}
+    oldest = next((view for view in _thickest(site, robot) if view not in kept), None)
     if oldest is None:
         return
     robot.track.forget({oldest})
@@ -266,6 +283,16 @@ def _drop_keyframe(site: Site, robot: Robot) -> None:
         record.untried = _without(oldest, record.untried)
         record.tried = _without(oldest, record.tried)
         record.searched = _without(oldest, record.searched)
+
+
+def _thickest(site: Site, robot: Robot) -> list[ViewName]:
+    """A robot's keyframes, those of the component first that has most of them: a map of where it
+    was before is not forgotten for one of where it is.
+    """
+    nodes = {} if site.solution is None else site.solution.nodes
+    roots = {view: nodes[view].root if view in nodes else None for view in robot.track.keyframes}
+    count = Counter(roots.values())
+    return sorted(robot.track.keyframes, key=lambda view: -count[roots[view]])
 
 
 V = TypeVar("V")

@@ -72,6 +72,10 @@ class Odometers:
             known = self._robots[message.robot] = Odometer(message.epoch)
         known.note(message)
 
+    def clock_went_back(self, robot: str) -> None:
+        """A robot's clock was set back: its moments from now on are not late ones of before."""
+        self._robots.pop(robot, None)
+
     def at(self, view: ViewName, stamp_ns: int) -> Moment | None:
         """The moment of a view."""
         if view not in self._of_views:
@@ -86,6 +90,16 @@ class Odometers:
         """Views that are no longer kept."""
         for view in views:
             self._of_views.pop(view, None)
+
+
+def camera_motion(
+    a: Moment, b: Moment, T_robot_camera_a: Floats, T_robot_camera_b: Floats
+) -> tuple[Floats, Floats]:
+    """T_a_b of the robot's camera between two moments, and its covariance (6, 6), left."""
+    T, covariance = motion(a, b)
+    T_camera_robot = inverse(T_robot_camera_a)
+    A = adjoint(T_camera_robot)
+    return T_camera_robot @ T @ T_robot_camera_b, A @ covariance @ A.T
 
 
 def motion(a: Moment, b: Moment) -> tuple[Floats, Floats]:

@@ -12,9 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from pose_server.alarms import note_depths, note_mirror
+from pose_server.anchoring import choose_anchor, gauge_of
 from pose_server.asking import note_clicks, note_selection, note_solved
 from pose_server.clicks import click_factors, clicks_between, judge
 from pose_server.correspondences.book import Outcome
+from pose_server.doubts import reconsider
 from pose_server.fleet.graph import solve_fleet
 from pose_server.fleet.types import Edge, SolveSettings
 from pose_server.following import back_job, followed, look_back, newest_arrived, track_job
@@ -147,7 +149,7 @@ def solve(site: Site, now_s: float) -> None:
     nodes = site.keyframes()
     if not nodes:
         return
-    site.gauge = _gauge(site, nodes)
+    site.gauge = gauge_of(site, nodes)
     first = {
         name: robot.track.keyframes[0]
         for name, robot in site.robots.items()
@@ -165,7 +167,8 @@ def solve(site: Site, now_s: float) -> None:
     )
     site.dirty = False
     site.count("solves")
-    _choose_anchor(site)
+    reconsider(site)
+    choose_anchor(site)
     agenda.appraise(site, now_s)
     note_solved(site)
 
@@ -213,25 +216,6 @@ def _covariances_due(site: Site) -> set[ViewName]:
 def _settings(site: Site, nodes: Sequence[ViewName]) -> SolveSettings:
     site.depth_m = float(np.median([site.views[node].median_depth_m for node in nodes]))
     return SolveSettings.at_depth(site.depth_m)
-
-
-def _gauge(site: Site, nodes: Sequence[ViewName]) -> ViewName | None:
-    """The anchor's first keyframe; it stays the origin as long as it is kept."""
-    if site.gauge in nodes and site.gauge is not None and site.gauge.robot == site.anchor:
-        return site.gauge
-    return next((node for node in nodes if node.robot == site.anchor), None)
-
-
-def _choose_anchor(site: Site) -> None:
-    """The first robot by name of the largest component of two or more; once chosen it stays."""
-    if site.anchor is not None or site.solution is None:
-        return
-    fleets = [{view.robot for view in views} for views in site.solution.components.values()]
-    largest = max(fleets, key=len)
-    if len(largest) > 1:
-        site.anchor = min(largest)
-        site.dirty = True
-        site.say(f"{site.anchor} is the anchor: the fleet's origin")
 
 
 def _click_job(site: Site) -> Job | None:
@@ -356,14 +340,14 @@ def _unlink_operator(site: Site, a: str, b: str) -> None:
 def _link_pair(site: Site, i: Attached, j: Attached, done: Done) -> None:
     assert done.result is not None
     T, covariance = on_keyframes(done.result, i, j)
-    kind = "odometry" if i.keyframe.robot == j.keyframe.robot else "pair"
     if i.keyframe == j.keyframe:
         return
     clicks, result = done.job.clicks, done.result
     enough = clicks is not None and len(clicks.z_i) >= 3
     operator, grown = result.confirmed and enough, result.grown and enough
+    # two parts of one robot's track join as two robots do: it does not know the way between them
     edge = Edge(
-        *(i.keyframe, j.keyframe, T, covariance, result.verdict, kind, operator, grown),
+        *(i.keyframe, j.keyframe, T, covariance, result.verdict, "pair", operator, grown),
         p_grave=result.p_grave,
     )
     before = site.edges.get(edge.key)

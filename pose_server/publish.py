@@ -5,6 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pose_server import alarms
+from pose_server.anchoring import why_apart
+from pose_server.doubts import why_doubted
 from pose_server.frames import body_pose, in_fleet, position_sigma, strayed
 from pose_server.geometry.se3 import rotation_angle
 from pose_server.matrix import error_of, pair_cells
@@ -61,8 +64,10 @@ def robot_pose(
     component = site.component_name(root)
     age_s = max(0.0, stamp.now_s - kept.received_s)
     verdict = site.solution.nodes[newest.keyframe].verdict
-    why_not = _absent(robot) or _why_not(
-        site, settings, root, verdict, age_s, T, covariance, kept.median_depth_m
+    why_not = (
+        _absent(robot)
+        or why_doubted(site, robot)
+        or _why_not(site, settings, root, verdict, age_s, T, covariance, kept.median_depth_m)
     )
     robot.published_node = site.solution.nodes[newest.keyframe]
     jumped = _jumped(site, robot, newest.keyframe, T_fleet_root, component)
@@ -97,7 +102,7 @@ def why_not_located(site: Site, robot: Robot, settings: ServerSettings, now_s: f
             if robot.alive
             else "not there"
         )
-    if absent := _absent(robot):
+    if absent := _absent(robot) or why_doubted(site, robot):
         return absent
     pose = robot.published
     if pose is None:
@@ -107,6 +112,8 @@ def why_not_located(site: Site, robot: Robot, settings: ServerSettings, now_s: f
     placed = site.camera_pose(pose.view) if pose.view in site.views else None
     if placed is None or placed[2] is None:
         return "its newest view does not hang on the fleet's graph"
+    if site.gauge is None or placed[0] != site.gauge:
+        return why_apart(site, robot)
     kept = site.views[pose.view]
     age_s = now_s - kept.received_s
     return _why_not(
@@ -255,7 +262,7 @@ def fleet_state(site: Site, settings: ServerSettings, stamp: Stamp, n: int) -> F
         questions=questions(site, stamp.now_s),
         events=tuple(site.events),
         pinned=site.pinned(),
-        alarms=site.alarms,
+        alarms=alarms.standing(site),
         answered=site.asking.answers,
     )
 

@@ -11,7 +11,7 @@ import time
 from concurrent.futures import Future
 from contextlib import suppress
 
-from pose_server import alarms, answers, pipeline, widening
+from pose_server import alarms, anchoring, answers, pipeline, widening
 from pose_server.awaiting import Awaiting, EarlyUpdates
 from pose_server.correspondences.book import Outcome
 from pose_server.correspondences.journal import Journal, StoredView
@@ -81,7 +81,7 @@ class Service:
         self._next: dict[str, float] = {}
         self._solved_s = self._solve_took_s = 0.0
         self._clean_s = 0.0
-        self._noted_anchor = site.anchor
+        self._noted_anchor: str | None = None
         self._unclicked = False
         self._unanswered: dict[Session, OperatorUpdate] = {}
         self._untold: set[tuple[str, str]] = set()
@@ -345,6 +345,7 @@ class Service:
                 pause_s = self._teller.state()
             self._next["state"] = max(self._next["state"], time.monotonic() + pause_s)
         if self._due("status", _STATUS_S):
+            anchoring.note_anchor(self.site, time.monotonic())
             drops = {
                 **self._drops.snapshot(),
                 "newer_view": self._clouds.replaced,

@@ -8,9 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from pose_server.anchoring import Anchoring
 from pose_server.asking import Asking
+from pose_server.calibration.clocks import LEAST_AHEAD_S
 from pose_server.calibration.memory import Memory
 from pose_server.correspondences.book import Book
+from pose_server.doubts import Doubts
 from pose_server.fleet.types import ClickFactor, Edge, EdgeKey, FleetSolution, NodePose
 from pose_server.frames import upright
 from pose_server.geometry.se3 import compose_covariance, inverse
@@ -149,6 +152,8 @@ class Site:
         factors: of the last solve, by id of the correspondence, and what they were made of.
         judged: points clicked in two views, and the relative pose that they were judged at last.
         bends: those of the alarms that say that a robot's depths bend.
+        doubts: which robots' poses are not believed, and why.
+        anchoring: which origins the fleet has had.
         alarms_told: robots and kinds of alarms that were an event already.
     """
 
@@ -187,6 +192,8 @@ class Site:
     alarms: tuple[Alarm, ...] = ()
     bends: tuple[Alarm, ...] = ()
     alarms_told: set[tuple[str, str]] = field(default_factory=set)
+    doubts: Doubts = field(default_factory=Doubts)
+    anchoring: Anchoring = field(default_factory=Anchoring)
     _edge_counts: Counter[RobotPair] = field(default_factory=Counter[RobotPair])
 
     def robot(self, name: str) -> Robot:
@@ -313,6 +320,9 @@ class Site:
             self.alarms_told = {of for of in self.alarms_told if of[0] != robot.name}
         if back_s > 0:
             told.append(f"the clock of {robot.name} went back by {back_s:.1f} s")
+        if back_s > LEAST_AHEAD_S:  # it was set: what was noted of it before tells nothing
+            self.odometers.clock_went_back(robot.name)
+            self.depths.clocks.forget(robot.name)
         robot.camera, robot.stamp_ns = view.camera, view.stamp_ns
         robot.changes += len(told)
         if robot.changes <= MAX_CHANGES_TOLD:

@@ -40,6 +40,7 @@ class KeptView:
         signature: (S, D) uint8 descriptors of the strongest salient points, to guess which
             views are alike.
         content: tells whether two views have the same points: their robot saw no change.
+        frozen_s: for how long the robot's camera has given the same image, to the last bit.
     """
 
     name: ViewName
@@ -53,6 +54,7 @@ class KeptView:
     signature: npt.NDArray[np.uint8]
     signature_uv: npt.NDArray[np.float32]
     content: int
+    frozen_s: float = 0.0
 
     @property
     def encoded(self) -> EncodedView:
@@ -88,6 +90,7 @@ def open_view(
             received_s=now_s,
             has_image=view.has_image,
             up_camera=view.up_camera,
+            frozen_s=view.frozen_s,
         )
     points = some_points_of(view, _DEPTH_SAMPLE)
     if len(points.xyz) < MIN_POINTS:
@@ -112,6 +115,7 @@ def open_view(
         signature=salient.descriptors[strongest],
         signature_uv=salient.uv[strongest],
         content=content,
+        frozen_s=view.frozen_s,
     )
 
 

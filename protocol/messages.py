@@ -90,8 +90,16 @@ class Salient(Message, frozen=True, schema="fleet.salient.v1", at_most=MAX_MESSA
     data: bytes
 
 
-class View(Message, frozen=True, schema="fleet.view.v1", at_most=MAX_MESSAGE_BYTES):
-    """`robot/<id>/cloud`: what a robot saw at one moment, without the image."""
+class View(
+    Message,
+    frozen=True,
+    schema="fleet.view.v2",
+    before="fleet.view.v1",
+    at_most=MAX_MESSAGE_BYTES,
+):
+    """`robot/<id>/cloud`: what a robot saw at one moment, without the image. v2 says when a live
+    camera gives the same image again and again.
+    """
 
     name: ViewName
     stamp_ns: Stamp
@@ -101,6 +109,11 @@ class View(Message, frozen=True, schema="fleet.view.v1", at_most=MAX_MESSAGE_BYT
     up_camera: Vector3 | None = Field(default=None, description="unit vector against gravity")
     up_sigma_rad: Positive | None = None
     has_image: bool = True
+    frozen_s: NonNegative = Field(
+        default=0.0,
+        description="for how long all images of a live camera have been identical to the last bit, "
+        "which no sensor's are, s; 0 where they are not, or where the source is a recording",
+    )
 
     @model_validator(mode="after")
     def _unit_up(self) -> "View":
@@ -120,8 +133,16 @@ class ImageHeader(Message, frozen=True, schema="fleet.image_header.v1"):
     )
 
 
-class KeptView(Message, frozen=True, schema="fleet.kept_view.v1", at_most=MAX_MESSAGE_BYTES):
-    """Reply of `robot/<id>/view?seq=12` : a view kept by its robot, or journalled by the server."""
+class KeptView(
+    Message,
+    frozen=True,
+    schema="fleet.kept_view.v2",
+    before="fleet.kept_view.v1",
+    at_most=MAX_MESSAGE_BYTES,
+):
+    """Reply of `robot/<id>/view?seq=12` : a view kept by its robot, or journalled by the server. v2
+    holds a `View` of v2.
+    """
 
     view: View
     jpeg: bytes | None = None
@@ -329,7 +350,10 @@ class Alarm(Message, frozen=True, schema="fleet.alarm.v1"):
     """What an operator has to look after at a robot, in words that say what to do."""
 
     robot: Name
-    kind: Name = Field(description="what is off: scale, unequal, bent, skew, clock, mirrored")
+    kind: Name = Field(
+        description="what is off: scale, unequal, bent, skew, clock, mirrored; frozen, still, lost, "
+        "carried: the robot is not located while it stands; anchor: there is no such robot"
+    )
     text: Text
 
 

@@ -5,11 +5,11 @@ import os
 import threading
 import time
 from collections.abc import Iterator
+from typing import TypeVar
 
 import cv2
 
 from protocol.transport import SessionSettings
-from robot_agent.cameras.base import Frame
 from robot_agent.cameras.factory import open_camera
 from robot_agent.cameras.video import video_settings
 from robot_agent.client import FleetRobot
@@ -17,6 +17,8 @@ from robot_agent.sender import SenderSettings
 from robot_agent.settings import RobotSettings
 
 log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 
 def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
@@ -106,7 +108,7 @@ class _Heard:
             log.info("not located name=%s reason=%s", pose.robot, pose.why_not)
 
 
-def paced(frames: Iterator[Frame], rate_hz: float, stop: threading.Event) -> Iterator[Frame]:
+def paced(frames: Iterator[T], rate_hz: float, stop: threading.Event) -> Iterator[T]:
     """Takes frames at a steady rate; time lost on a late one is not made up for."""
     period_s = 1.0 / rate_hz
     due_s = time.monotonic()

@@ -10,6 +10,7 @@ robot.close()
 
 import logging
 import time
+from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
@@ -24,6 +25,7 @@ from protocol.messages import Camera, Odometry, RelativePose, RobotPose, ViewNam
 from protocol.presence import LiveServer, Presence
 from protocol.transport import Link, SessionSettings, open_session
 from robot_agent.cameras.base import DepthImage, DisparityImage, Frame, Ranges, ScatteredPoints
+from robot_agent.cameras.frozen import Repeats
 from robot_agent.poses import PoseBoard
 from robot_agent.sender import Sender, SenderSettings
 
@@ -72,6 +74,7 @@ class FleetRobot:
         self._keys = Keys(site)
         self._camera = camera
         self._seq = 0
+        self._repeats = Repeats()
         self.drops = Drops()
         self._link = Link(open_session(session))
         self._server = LiveServer(self._link, self._keys)
@@ -105,6 +108,7 @@ class FleetRobot:
         odometry_covariance: npt.NDArray[np.float64] | None = None,
         up_camera: npt.NDArray[np.float64] | None = None,
         up_sigma_rad: float | None = None,
+        live: bool = False,
     ) -> ViewName:
         """Sends what the robot sees now; returns at once.
 
@@ -118,6 +122,8 @@ class FleetRobot:
                 given.
             up_camera: unit vector against gravity in the camera frame.
             up_sigma_rad: its sigma.
+            live: whether the image is a device's: the server is told when it repeats itself to the
+                last bit, as no sensor does, and does not take what it shows for now.
 
         Returns:
             The name that the view will have.
@@ -128,13 +134,15 @@ class FleetRobot:
         """
         if self._camera is None:
             raise CalibrationError("push needs the camera's model: give FleetRobot a camera")
+        image = image.copy()  # the caller may reuse the buffer
         frame = Frame(
             stamp_ns=time.time_ns() if stamp_ns is None else stamp_ns,
-            image=image.copy(),  # the caller may reuse the buffer
+            image=image,
             ranges=_copied(ranges),
             model=self._camera,
             up_camera=up_camera,
             up_sigma_rad=up_sigma_rad,
+            raw=(image,) if live else (),
         )
         if T_odom_robot is not None:
             self.push_odometry(T_odom_robot, frame.stamp_ns, odometry_covariance)
@@ -153,6 +161,9 @@ class FleetRobot:
         self._log_absence()
         _check_sizes(frame)
         _check_up(frame.up_camera)
+        if frame.raw:
+            frozen_s = self._repeats.frozen_s(frame.raw, time.monotonic())
+            frame = replace(frame, frozen_s=frozen_s)
         name = ViewName(robot=self.name, epoch=self.epoch, seq=self._seq)
         self._seq += 1
         self._sender.send(name, frame)

@@ -30,6 +30,7 @@ def view_of(name: ViewName, frame: Frame, salient: SalientPoints) -> View:
         salient=encode_salient(salient, EXTRACTOR),
         up_camera=frame.up_camera,
         up_sigma_rad=frame.up_sigma_rad,
+        frozen_s=frame.frozen_s,
     )
 
 

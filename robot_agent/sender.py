@@ -172,7 +172,7 @@ class Sender:
             return None
         now = {"name": name, "stamp_ns": frame.stamp_ns}
         up = {"up_camera": frame.up_camera, "up_sigma_rad": frame.up_sigma_rad}
-        view = kept.view.model_copy(update={**now, **up})
+        view = kept.view.model_copy(update={**now, **up, "frozen_s": frame.frozen_s})
         header = ImageHeader(view=name, stamp_ns=frame.stamp_ns)
         return kept.model_copy(update={"view": view, "image": header})
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from evaluation.faults import crashes, frozen, inject, late
+from evaluation.faults.inject import ROBOTS
 from evaluation.report import output_folder, print_table, progress_bar, write_summary
 from protocol.errors import FleetPoseError
 
@@ -23,6 +24,7 @@ class FaultOptions:
     late_clicks: int = 0
     inject: tuple[str, ...] = ()
     inject_s: float = 50.0
+    inject_robots: int = ROBOTS
     seed: int = 0
 
 
@@ -56,7 +58,7 @@ def _scenarios(options: FaultOptions) -> dict[str, tuple[Scenario, int]]:
         scenarios["crashes"] = (crash, options.kills)
     if options.freeze_s:
         steps = round(options.freeze_s + frozen.BEFORE_S)
-        scenarios["frozen"] = (partial(frozen.run, options.freeze_s), steps)
+        scenarios["frozen client"] = (partial(frozen.run, options.freeze_s), steps)
     if options.late_clicks:
         rounds = -(-options.late_clicks // (late.DESKS * late.CLICKS_PER_ROUND))
         steps = round(rounds * late.LATE_S)
@@ -65,7 +67,8 @@ def _scenarios(options: FaultOptions) -> dict[str, tuple[Scenario, int]]:
         if name not in inject.FAULTS:
             raise FleetPoseError(f"--inject: no '{name}'; there are {', '.join(inject.FAULTS)}")
         steps = round(options.inject_s)
-        scenarios[name] = (partial(inject.run, name, options.inject_s), steps)
+        injected = partial(inject.run, name, options.inject_s, robots=options.inject_robots)
+        scenarios[name] = (injected, steps)
     if not scenarios:
         raise FleetPoseError("nothing to do: give --kills, --freeze, --late-clicks or --inject")
     return scenarios

@@ -44,6 +44,10 @@ class Clocks:
             if early_s > LEAST_AHEAD_S or behind:
                 yield robot, early_s
 
+    def forget(self, robot: str) -> None:
+        """A robot's clock was set: what was seen of it before tells nothing."""
+        self._early_s.pop(robot, None)
+
     def keep_only(self, robots: Collection[str]) -> None:
         """Drops robots that are gone."""
         self._early_s = {r: kept for r, kept in self._early_s.items() if r in robots}

@@ -72,7 +72,7 @@ class Track:
         """Makes a view a keyframe that hangs on nothing else."""
         if view not in self.keyframes:
             self.keyframes.append(view)
-        self._hang(Attached(view, view, np.eye(4), np.zeros((6, 6)), "verified"))
+        self.hang(Attached(view, view, np.eye(4), np.zeros((6, 6)), "verified"))
 
     def recall(self, view: ViewName) -> None:
         """Makes a view of an earlier life a keyframe, without taking it for where the robot is
@@ -82,10 +82,14 @@ class Track:
             self.keyframes.append(view)
         self.attached[view] = Attached(view, view, np.eye(4), np.zeros((6, 6)), "verified")
 
-    def stay(self, view: ViewName, keyframe: ViewName, sigma_rad: float, sigma_m: float) -> None:
-        """Hangs a view of a robot that did not move on a keyframe."""
-        C = np.diag([sigma_rad**2] * 3 + [sigma_m**2] * 3)
-        self._hang(Attached(view, keyframe, np.eye(4), C, "verified"))
+    def hang(self, here: Attached) -> None:
+        """Hangs a view on a keyframe; if it is none of the past, the robot is there now."""
+        self.attached[here.view] = here
+        if here.view not in self.past:
+            self.reference = here.keyframe
+            self.newest = here
+        self._tried.pop(here.view, None)
+        self._fallback.pop(here.view, None)
 
     def keyframe_near(self, view: ViewName) -> ViewName | None:
         """The keyframe that the views next in time hang on, None if none of that life does."""
@@ -132,13 +136,14 @@ class Track:
             to the one it was aligned with; segment: it aligned with nothing and became one by
             itself.
         """
-        if not accepted(result):
+        sure = result.verdict == "verified" or self._leads_to(keyframe, view)
+        if not accepted(result) or not sure:
             return "try"
         assert result.T_i_j is not None and result.covariance is not None
         here = Attached(view, keyframe, result.T_i_j, result.covariance, result.verdict)
         self.blind = 0
         if not is_far(result, depth_m):
-            self._hang(here)
+            self.hang(here)
             return "attached"
         if nearer is not None and nearer not in self._tried.get(view, []):
             self._fallback[view] = here
@@ -174,18 +179,23 @@ class Track:
             self.past.discard(view)
         self.keyframes = [keyframe for keyframe in self.keyframes if keyframe not in views]
 
+    def _leads_to(self, keyframe: ViewName, view: ViewName) -> bool:
+        """Whether a view is next in time to those that hang on a keyframe. Elsewhere its robot is
+        to be recognised like any other, not believed because it is the same one.
+        """
+        near = self.keyframe_near(view) if view in self.past else self.reference
+        return keyframe == near and keyframe.epoch == view.epoch
+
     def _promote(self, here: Attached) -> Step:
         self.begin(here.view)
         self._fallback[here.view] = here
         return "keyframe"
 
-    def _hang(self, here: Attached) -> None:
-        self.attached[here.view] = here
-        if here.view not in self.past:
-            self.reference = here.keyframe
-            self.newest = here
-        self._tried.pop(here.view, None)
-        self._fallback.pop(here.view, None)
+
+def standing(view: ViewName, keyframe: ViewName, sigma_rad: float, sigma_m: float) -> Attached:
+    """Where the view of a robot that did not move hangs."""
+    C = np.diag([sigma_rad**2] * 3 + [sigma_m**2] * 3)
+    return Attached(view, keyframe, np.eye(4), C, "verified")
 
 
 def accepted(result: PairResult) -> bool:

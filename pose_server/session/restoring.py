@@ -33,13 +33,16 @@ def restored_site(
     Raises:
         JournalError: the journal cannot be read.
     """
+    before = journal.noted("anchor") or None
+    revision = int(journal.noted("gauge_revision") or 0)
     site = Site(
         located_sigma=located_sigma,
         book=Book(journal),
         skip=skip,
-        anchor=anchor or journal.noted("anchor"),
-        gauge_revision=int(journal.noted("gauge_revision") or 0),
+        anchor=anchor or before,
+        gauge_revision=revision + (anchor is not None and before not in (None, anchor)),
     )
+    site.anchoring.asked = anchor
     now_s = time.monotonic()
     encoded = {**graph.keyframes, **{stored.name: stored.encoded for stored in journal.views()}}
     views = [view for name, data in encoded.items() if (view := _opened(name, data, now_s))]

@@ -60,6 +60,8 @@ class Frame:
             the frame before, nothing in sight has changed but the noise.
         model: intrinsics, extrinsics and noise of this very frame.
         up_camera: unit vector against gravity in the camera frame, where it is known.
+        raw: the images as a live device gave them, of each eye; empty where they are recorded.
+        frozen_s: for how long these have been identical to the last bit; `FleetRobot` looks.
     """
 
     stamp_ns: int
@@ -68,6 +70,8 @@ class Frame:
     model: CameraModel
     up_camera: npt.NDArray[np.float64] | None = None
     up_sigma_rad: float | None = None
+    raw: tuple[npt.NDArray[np.uint8], ...] = ()
+    frozen_s: float = 0.0
 
 
 class Camera(Protocol):

@@ -6,6 +6,7 @@ from a file (`robot_agent.cameras.rig`).
 
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -141,8 +142,10 @@ class StereoCamera:
         self._source = source
 
     def frames(self) -> Iterator[Frame]:
+        live = self._source.folder is None
         for pair in self._source.pairs():
-            yield self._matcher.frame(pair.left, pair.right, pair.stamp_ns)
+            frame = self._matcher.frame(pair.left, pair.right, pair.stamp_ns)
+            yield replace(frame, raw=(pair.left, pair.right)) if live else frame
 
     def close(self) -> None:
         self._source.close()

@@ -119,7 +119,7 @@ class SyntheticCamera:
     def frames(self) -> Iterator[Frame]:
         while True:
             left, right, stamp_ns = self._link.next()
-            yield self._matcher.frame(left, right, stamp_ns)
+            yield replace(self._matcher.frame(left, right, stamp_ns), raw=(left, right))
 
     def close(self) -> None:
         self._link.close()

@@ -66,3 +66,13 @@ def test_a_pair_whose_last_try_failed_shows_a_hyphen_with_the_age_of_that_try():
     assert "3 matches, need 6" in row
     session.select("r2", "r3")
     assert describe_cell(session) == "rejected"
+
+
+def test_a_robot_that_sees_nothing_known_is_helped_by_clicks_and_named_in_the_status():
+    session = OperatorSession("op")
+    text = "r6 lost track of itself: it sees nothing it saw before: carried or covered?"
+    session.on_fleet(fleet(6, alarms=(Alarm(robot="r6", kind="lost", text=text),)))
+    record = why_record(session, "r6", {})
+    assert record["alarms"] == [text] and record["alarm_kinds"] == ["lost"]
+    assert not record["next"].startswith("do what its alarm says")
+    assert f"alarm: r6: {text}" in status_text(session).splitlines()

@@ -101,3 +101,12 @@ def test_a_robot_is_not_followed_blindly_for_ever():
     assert site.joined(named(0), named(MOST_BLIND))
     assert not site.joined(named(0), named(MOST_BLIND + 1))
     assert any("lost track of itself" in event for event in site.events)
+
+
+def test_odometry_is_heard_again_after_the_robots_clock_was_set_back():
+    site = site_that_walks_blindly(2, tells=True)
+    early = _unlike(np.random.default_rng(5), 3).model_copy(update={"stamp_ns": 1})
+    pipeline.receive_view(site, kept(early))
+    site.odometers.note(said(2, walked(3)))
+    assert site.odometers.at(named(9), 2) is not None
+    assert any("went back" in event for event in site.events)

@@ -62,6 +62,7 @@ VIEW = m.View(
     salient=SALIENT,
     up_camera=np.array([0.0, -1.0, 0.0]),
     up_sigma_rad=0.01,
+    frozen_s=2.5,
 )
 HEADER = m.ImageHeader(view=V1, stamp_ns=1, scale=2)
 POSE = m.RobotPose(
@@ -129,7 +130,7 @@ EXAMPLES = {
         SALIENT,
         VIEW,
         HEADER,
-        m.KeptView(view=VIEW, jpeg=b"\xff\xd8", image=HEADER),
+        m.KeptView(view=VIEW.model_copy(update={"frozen_s": 0.0}), jpeg=b"\xff\xd8", image=HEADER),
         m.Odometry(robot="r1", epoch=EPOCH, stamp_ns=1, T_odom_robot=T, covariance=COVARIANCE),
         m.PairError(other="r2", rmse_m=0.1, verdict="ambiguous"),
         POSE,

@@ -26,6 +26,7 @@ ADDED = {
         "why_not": "",
     },
     "fleet.question.v1": {"suggestions": ()},
+    "fleet.view.v1": {"frozen_s": 0.0},
     "fleet.status.v1": {"waiting": {}, "wait_share": 0.0, "stage_ms": {}, "picked": ""},
 }
 """What the reader puts where an earlier version had no field yet."""

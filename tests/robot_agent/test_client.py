@@ -1,5 +1,6 @@
 """A robot of the fleet, over a real router: views go out, poses come back, names are unique."""
 
+import itertools
 import threading
 import time
 
@@ -33,7 +34,9 @@ from protocol.transport import (
     free_port,
     wait_until,
 )
+from robot_agent.agent import paced
 from robot_agent.cameras.base import DepthImage, Frame
+from robot_agent.cameras.frozen import LEAST_S
 from robot_agent.client import FleetRobot
 from robot_agent.sender import SenderSettings
 
@@ -133,6 +136,21 @@ def test_a_frame_in_which_nothing_changed_is_sent_again_as_a_view_of_its_own(rob
     other = Frame(stamp_ns=7, image=IMAGE, ranges=DepthImage(DEPTH + 1), model=MODEL)
     robot.push_frame(other)
     assert next_view(slots).cloud != first.cloud
+
+
+def test_a_device_that_repeats_itself_is_told_with_its_views(robot, link):
+    slots, said = link.on_bulk(KEYS.cloud("*")), [0.0]
+    end_s = time.monotonic() + 10 * LEAST_S
+    for _ in paced(itertools.count(), 3.0, threading.Event()):
+        robot.push(IMAGE, DEPTH, live=True)
+        said.append(next_view(slots).frozen_s)
+        if said[-1] or time.monotonic() > end_s:
+            break
+    assert said[:3] == [0.0] * 3 and said[-1] >= LEAST_S
+    robot.push(IMAGE ^ 1, DEPTH, live=True)
+    assert next_view(slots).frozen_s == 0.0
+    robot.push(IMAGE, DEPTH)
+    assert next_view(slots).frozen_s == 0.0, "a program that does not say so may show a recording"
 
 
 def test_the_caller_may_reuse_its_buffers(robot, link):
