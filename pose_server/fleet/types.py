@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.geometry.se3 import inverse
+from pose_server.geometry.structure import Structure
 from protocol.messages import Verdict, ViewName
 
 Floats = npt.NDArray[np.floating]
@@ -18,6 +19,14 @@ EdgeKind = Literal["odometry", "pair"]
 EdgeKey = tuple[ViewName, ViewName, EdgeKind]
 Told = tuple[int, Any]
 """Fingerprint of the points clicked in two keyframes, and what they said: a `ClickSummary`."""
+
+GRAVE_BY_VERDICT: dict[Verdict, float] = {
+    "verified": 0.001,  # none in some thousand verified pairs of the recordings at hand
+    "plausible": 0.5,  # in places that repeat themselves most of them are aliases
+    "ambiguous": 0.5,
+    "rejected": 1.0,
+}
+"""Probability that an edge is gravely off, where nobody says how likely that is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +41,9 @@ class Edge:
         kind: `odometry` between views of one robot, `pair` between robots.
         operator: three or more of the operator's correspondences agree with it.
         grown: from them, so that they are in it.
+        p_grave: probability that it is gravely off; by default what its verdict stands for.
+        structure: what of the world it rests on, in the frame of view a; None where that is not
+            known: such an edge is nobody's independent witness.
     """
 
     a: ViewName
@@ -42,6 +54,12 @@ class Edge:
     kind: EdgeKind = "pair"
     operator: bool = False
     grown: bool = False
+    p_grave: float = -1.0
+    structure: Structure | None = None
+
+    def __post_init__(self) -> None:
+        if self.p_grave < 0.0:
+            object.__setattr__(self, "p_grave", GRAVE_BY_VERDICT[self.verdict])
 
     @property
     def key(self) -> EdgeKey:
@@ -56,6 +74,8 @@ class ClickFactor:
         p_a, p_b: (3,) the point in the camera frame of each view.
         C_a, C_b: (3, 3) its covariances there, long along the ray.
         id: of the correspondence.
+        joins: whether it may join components, with others: the images of its views were asked, and
+            do not contradict it.
     """
 
     a: ViewName
@@ -65,6 +85,7 @@ class ClickFactor:
     C_a: Floats
     C_b: Floats
     id: int
+    joins: bool = True
 
 
 @dataclass(frozen=True)
@@ -78,6 +99,9 @@ class SolveSettings:
             agree.
         distinct_m: two edges are different evidence only if a camera of one stands this far from
             the other's, or is another robot's: a robot that stands still repeats its mistakes.
+        most_grave: probability of being gravely off up to which plausible edges that are
+            independent witnesses join components together.
+        clicks_grave: the same of clicks that join components, where their edge does not say.
         inlier_probability: share of right edges that pass the test against outliers.
         click_robust_sigmas: from where on a click counts less.
         shared_share: of an edge's variance that it has in common with each other edge of its views;
@@ -96,6 +120,8 @@ class SolveSettings:
     agree_rotation_rad: float = 0.08
     agree_translation_m: float = 0.1
     distinct_m: float = 0.1
+    most_grave: float = 0.02
+    clicks_grave: float = 0.01
     inlier_probability: float = 0.999
     click_robust_sigmas: float = 4.0
     outvoted_limit: int = 8
@@ -124,6 +150,8 @@ class NodePose:
         verdict: of the weakest link on the strongest path to the root; `ambiguous` where a link is
             contradicted by another one and nothing tells which of them is wrong.
         parent: the next view on that path, None for the root.
+        p_grave: probability that the pose is gravely off beside the root's: that any edge of the
+            surest way to the root is.
         covariance: (6, 6) of T_root_camera; None where it was not asked for or could not be had.
         why_no_covariance: the reason, empty if there is one.
     """
@@ -134,6 +162,7 @@ class NodePose:
     parent: ViewName | None
     covariance: Floats | None = None
     why_no_covariance: str = "not asked for"
+    p_grave: float = 0.0
 
 
 @dataclass(frozen=True)
