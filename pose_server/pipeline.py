@@ -13,10 +13,10 @@ import numpy as np
 
 from pose_server.alarms import note_depths
 from pose_server.asking import note_clicks, note_selection, note_solved
-from pose_server.clicks import click_factors, clicks_between, judge
+from pose_server.clicks import click_factors, clicks_between, judge, note_heard
 from pose_server.correspondences.book import Outcome
 from pose_server.fleet.graph import solve_fleet
-from pose_server.fleet.types import Edge, SolveSettings
+from pose_server.fleet.types import GRAVE_BY_VERDICT, Edge, SolveSettings
 from pose_server.following import back_job, followed, look_back, newest_arrived, track_job
 from pose_server.frames import on_keyframes
 from pose_server.pairs import agenda
@@ -244,6 +244,7 @@ def _click_job(site: Site) -> Job | None:
         record.clicks_due = False
         job = _with_clicks(site, a, b)
         if job is None:
+            note_heard(site, (a, b), None, None)
             _unlink_operator(site, a, b)
             continue
         record.running = True
@@ -331,18 +332,26 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
     if done.job.purpose == "clicks" and not done.job.features:
         may_ask = ordered_pair(i.robot, j.robot) not in site.skip
         record.search_due = may_ask and done.result.verdict != "verified"
-    if done.job.features:
-        record.searched[i, j] = done.result
+    if done.job.purpose == "clicks":
+        note_heard(site, (i.robot, j.robot), done.job.clicks, done.result.hearing)
+    if done.job.features and (done.job.clicks is None or done.result.verdict == "verified"):
+        record.searched[i, j] = done.result  # by features; what clicks added is not
     note_open(site, done)
     record.last, record.last_views = done.result, (i, j)
     if _is_better(done.result, record.best):
         record.best, record.best_views = done.result, (i, j)
     at_i, at_j = site.attached(i), site.attached(j)
-    if done.job.purpose == "clicks" and not accepted(done.result):
+    if done.job.purpose == "clicks" and _refuses_clicks(done.result):
         _unlink_operator(site, i.robot, j.robot)
     if accepted(done.result) and at_i is not None and at_j is not None:
         _link_pair(site, at_i, at_j, done)
     agenda.file(site, ordered_pair(i.robot, j.robot), now_s)
+
+
+def _refuses_clicks(result: PairResult) -> bool:
+    """Whether nothing may rest on the clicks that an alignment was made with."""
+    hearing = result.hearing
+    return not accepted(result) or (hearing is not None and not any(hearing.accepted))
 
 
 def _unlink_operator(site: Site, a: str, b: str) -> None:
@@ -361,7 +370,18 @@ def _link_pair(site: Site, i: Attached, j: Attached, done: Done) -> None:
     clicks, result = done.job.clicks, done.result
     enough = clicks is not None and len(clicks.z_i) >= 3
     operator, grown = result.confirmed and enough, result.grown and enough
-    edge = Edge(i.keyframe, j.keyframe, T, covariance, result.verdict, kind, operator, grown)
+    edge = Edge(
+        i.keyframe,
+        j.keyframe,
+        T,
+        covariance,
+        result.verdict,
+        kind,
+        operator,
+        grown,
+        result.p_grave if result.p_grave < 1.0 else GRAVE_BY_VERDICT[result.verdict],
+        None if result.structure is None else result.structure.seen_from(i.T_keyframe_view),
+    )
     before = site.edges.get(edge.key)
     if before is None or operator or _rank(edge) >= _rank(before):
         site.link(edge)

@@ -101,6 +101,10 @@ class PairRecord:
         searched: what features gave for keyframe pairs.
         clicks_due: the operator's set changed and was not aligned since.
         search_due: it was, but without asking features again, and nothing sure was found.
+        heard: which correspondences, by id and revision, the images were asked about last, and
+            whether they are believed.
+        clicks_grave: probability that the pose of those is gravely off.
+        told: what operators were told about them.
         last: the newest alignment, its views and when it ended.
     """
 
@@ -110,6 +114,9 @@ class PairRecord:
     running: bool = False
     clicks_due: bool = False
     search_due: bool = False
+    heard: dict[tuple[int, int], bool] = field(default_factory=dict)
+    clicks_grave: float = 1.0
+    told: str = ""
     last: PairResult | None = None
     last_views: ViewPair | None = None
     last_s: float = -np.inf
@@ -146,7 +153,8 @@ class Site:
         asking: what became of the questions.
         odometers: what robots say of their own motion.
         factors: of the last solve, by id of the correspondence, and what they were made of.
-        judged: points clicked in two views, and the relative pose that they were judged at last.
+        judged: points clicked in two views, the relative pose that they were judged at last, and
+            which of them their pair had refused then.
         bends: those of the alarms that say that a robot's depths bend.
         alarms_told: robots and kinds of alarms that were an event already.
     """
@@ -182,7 +190,9 @@ class Site:
     asking: Asking = field(default_factory=Asking)
     odometers: Odometers = field(default_factory=Odometers)
     factors: dict[int, tuple[tuple[object, ...], ClickFactor]] = field(default_factory=dict)
-    judged: dict[ViewPair, tuple[list[Floats], Floats]] = field(default_factory=dict)
+    judged: dict[ViewPair, tuple[list[Floats], Floats, tuple[bool, ...]]] = field(
+        default_factory=dict
+    )
     alarms: tuple[Alarm, ...] = ()
     bends: tuple[Alarm, ...] = ()
     alarms_told: set[tuple[str, str]] = field(default_factory=set)

@@ -223,7 +223,7 @@ def _join_by_clicks(agreement: _Agreement, clicks: Sequence[tuple[int, int, Clic
             )
         except DegenerateGeometryError:
             continue  # they stay apart; the clicks wait for more
-        p_grave = agreement.settings.clicks_grave
+        p_grave = max(click.p_grave for _, _, click in group)
         return forest.join(link(ref_a, ref_b, T, covariance, CONFIRMED, p_grave))
     return False
 

@@ -27,6 +27,12 @@ GRAVE_BY_VERDICT: dict[Verdict, float] = {
     "rejected": 1.0,
 }
 """Probability that an edge is gravely off, where nobody says how likely that is."""
+GRAVE_ODOMETRY = 0.005
+"""The same of a robot's own motion: it begins where the robot was, and finds no alias elsewhere."""
+
+
+JOINS_BELOW = 0.5
+"""Clicks that are more likely wrong than right join nothing, nor do those that nobody has heard."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +65,9 @@ class Edge:
 
     def __post_init__(self) -> None:
         if self.p_grave < 0.0:
-            object.__setattr__(self, "p_grave", GRAVE_BY_VERDICT[self.verdict])
+            known = GRAVE_BY_VERDICT[self.verdict]
+            p_grave = min(known, GRAVE_ODOMETRY) if self.kind == "odometry" else known
+            object.__setattr__(self, "p_grave", p_grave)
 
     @property
     def key(self) -> EdgeKey:
@@ -74,8 +82,8 @@ class ClickFactor:
         p_a, p_b: (3,) the point in the camera frame of each view.
         C_a, C_b: (3, 3) its covariances there, long along the ray.
         id: of the correspondence.
-        joins: whether it may join components, with others: the images of its views were asked, and
-            do not contradict it.
+        p_grave: probability that what it says, with the others that it was heard with, is gravely
+            off, by what the images said. From `JOINS_BELOW` on it joins no components.
     """
 
     a: ViewName
@@ -85,7 +93,12 @@ class ClickFactor:
     C_a: Floats
     C_b: Floats
     id: int
-    joins: bool = True
+    p_grave: float = 0.006
+
+    @property
+    def joins(self) -> bool:
+        """Whether it may join components, with others."""
+        return self.p_grave < JOINS_BELOW
 
 
 @dataclass(frozen=True)
@@ -101,7 +114,6 @@ class SolveSettings:
             the other's, or is another robot's: a robot that stands still repeats its mistakes.
         most_grave: probability of being gravely off up to which plausible edges that are
             independent witnesses join components together.
-        clicks_grave: the same of clicks that join components, where their edge does not say.
         inlier_probability: share of right edges that pass the test against outliers.
         click_robust_sigmas: from where on a click counts less.
         shared_share: of an edge's variance that it has in common with each other edge of its views;
@@ -121,7 +133,6 @@ class SolveSettings:
     agree_translation_m: float = 0.1
     distinct_m: float = 0.1
     most_grave: float = 0.02
-    clicks_grave: float = 0.01
     inlier_probability: float = 0.999
     click_robust_sigmas: float = 4.0
     outvoted_limit: int = 8

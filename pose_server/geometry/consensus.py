@@ -66,6 +66,62 @@ def consensus(pairs: PointPairs, price: float = OUTLIER_CHI2) -> Consensus:
     return Consensus(T, covariance, right, distance2, contradiction)
 
 
+def consistent_sets(pairs: PointPairs) -> list[Consensus]:
+    """Every way to believe some of the correspondences, those that believe most first: the
+    explanation of `consensus`, and where that leaves so many out that these may be right instead,
+    or contradicts itself, the other sets of three or more that agree with each other.
+
+    Three wrong ones that fit each other are outvoted by no majority of three right ones: what else
+    is known must decide.
+
+    Raises:
+        DegenerateGeometryError: there is none; see `consensus`.
+    """
+    why: DegenerateGeometryError | None = None
+    try:
+        first = consensus(pairs)
+        if not first.contradiction and (~first.inliers).sum() < 3:
+            return [first]
+        found = [] if first.contradiction else [first]
+    except DegenerateGeometryError as error:
+        first, found, why = None, [], error
+    for triple in _triples(len(pairs)):
+        inliers = _grown(pairs, triple)
+        if inliers is None or any((inliers <= one.inliers).all() for one in found):
+            continue
+        one = _believing(pairs, inliers)
+        if one is not None:
+            found = [other for other in found if not (other.inliers <= inliers).all()]
+            found.append(one)
+    if not found:
+        if first is None:
+            assert why is not None
+            raise why
+        return [first]
+    return sorted(found, key=lambda one: (-int(one.inliers.sum()), float(one.distance2.sum())))
+
+
+def _believing(pairs: PointPairs, inliers: Bools) -> Consensus | None:
+    """The pose of those that agree with each other; none where they do not after all."""
+    try:
+        T, covariance = pose_of(pairs[inliers])
+    except DegenerateGeometryError:
+        return None
+    distance2 = np.where(inliers, pairs.distance2(T), pairs.distance2(T, covariance))
+    if _contradiction(distance2[inliers]):
+        return None
+    return Consensus(T, covariance, inliers, distance2)
+
+
+def _triples(n: int) -> Iterator[npt.NDArray[np.int64]]:
+    """All, or as many as are drawn by chance, but the same every time."""
+    if comb(n, 3) <= _DRAWN_TRIPLES:
+        yield from (np.array(chosen) for chosen in combinations(range(n), 3))
+        return
+    rng = np.random.default_rng(0)
+    yield from (rng.choice(n, 3, replace=False) for _ in range(_DRAWN_TRIPLES))
+
+
 def pose_of(pairs: PointPairs) -> tuple[Floats, Floats]:
     """T_a_b (4, 4) and its covariance (6, 6) from three correspondences or more, all right.
 

@@ -26,7 +26,10 @@ class Structure:
 
     @classmethod
     def of(cls, points: Floats) -> "Structure":
-        """Of points (N, 3), N >= 1."""
+        """Of points (N, 3); what is nan is not known. Of none it is nowhere, apart from nothing."""
+        points = points[np.isfinite(points).all(axis=1)]
+        if len(points) == 0:
+            return cls(np.full(3, np.nan), np.eye(3))
         centre = points.mean(axis=0)
         off = points - centre
         thin = _LEAST_SHARE * float(np.linalg.norm(centre))

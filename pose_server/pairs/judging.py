@@ -13,6 +13,8 @@ from pose_server.geometry.evidence import Agreement
 from pose_server.geometry.motion import Mask
 from pose_server.geometry.refine import NoiseScale, Refinement
 from pose_server.geometry.se3 import inverse, position_covariance, rotation_angle, transform
+from pose_server.geometry.structure import Structure
+from pose_server.pairs.hearing import Hearing
 from pose_server.pairs.pair import Pair
 from pose_server.pairs.verdict import Evidence, Verdict, judge
 
@@ -36,7 +38,8 @@ class PairResult:
     first; only where it is not verified. `confirmed` by clicks: they determine a pose, and all that
     agree with each other agree with this one; `grown` from them: they are in it. `p_grave` is the
     probability that the pose is gravely off, 1 where there is none; `rivals` are other (4, 4) poses
-    that the images support as well.
+    that the images support as well. `structure` is what of the world its matches rest on, in the
+    frame of view i; `hearing` what became of the clicks it was made with.
     """
 
     T_i_j: Floats | None
@@ -59,6 +62,8 @@ class PairResult:
     grown: bool = False
     p_grave: float = 1.0
     rivals: tuple[Floats, ...] = ()
+    structure: Structure | None = None
+    hearing: Hearing | None = None
 
 
 def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None) -> PairResult:
@@ -104,6 +109,7 @@ def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None
         regression_count=count,
         start=start,
         evidence=evidence,
+        structure=Structure.of(pair.i.observed.points[matches[final.inliers, 0]]),
     )
 
 
