@@ -23,7 +23,7 @@ from pose_server.pairs.views import PreparedView
 Floats = npt.NDArray[np.floating]
 
 FULL_POSE = 3  # correspondences that determine a pose
-_MOST_STARTS = 4  # each costs a refinement, and somebody waits
+_MOST_STARTS = 5  # each costs a refinement, and somebody waits
 _TRANSLATION_SIGMA = 0.03  # of a start whose rotation comes from elsewhere, at least
 
 
