@@ -17,7 +17,7 @@ from pose_server.geometry.consensus import OUTLIER_CHI2
 from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.se3 import transform
 from pose_server.pairs.hearing import Hearing
-from pose_server.pairs.starts import Clicks
+from pose_server.pairs.starts import FULL_POSE, Clicks
 from pose_server.pairs.tracking import Attached
 from pose_server.site import RobotPair, Site
 from protocol.messages import CorrespondenceStatus, ViewName
@@ -147,7 +147,28 @@ def judge(site: Site) -> list[RobotPair]:
                 verdicts |= _judged(site, views, clicked, T_i_j, refused)
         if site.book.set_status(pair, verdicts):
             changed.append(pair)
+        _note_contradicted(site, pair)
     return changed
+
+
+def _note_contradicted(site: Site, pair: RobotPair) -> None:
+    """Operators are told where the fleet contradicts points that their own pair believes."""
+    record = site.pair(*pair)
+    believed = [
+        kept
+        for kept in site.book.of(*pair)
+        if record.heard.get((kept.item.id, kept.item.revision)) and record.clicks_grave < 1.0
+    ]
+    wrong = sum(kept.item.status == "outlier" for kept in believed)
+    told = ""
+    if wrong >= FULL_POSE and 2 * wrong > len(believed):
+        told = (
+            f"{wrong} points in {pair[0]} and {pair[1]} fit each other, but the rest of the fleet "
+            "contradicts them: are these the same places in both images?"
+        )
+        if told != record.contradicted:
+            site.say(told)
+    record.contradicted = told
 
 
 def _same(before: Sequence[object], now: Sequence[object]) -> bool:

@@ -343,6 +343,8 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
     at_i, at_j = site.attached(i), site.attached(j)
     if done.job.purpose == "clicks" and _refuses_clicks(done.result):
         _unlink_operator(site, i.robot, j.robot)
+    if done.result.verdict == "ambiguous" and at_i is not None and at_j is not None:
+        site.unlink((at_i.keyframe, at_j.keyframe, "pair"))  # what was sure of it is not any more
     if accepted(done.result) and at_i is not None and at_j is not None:
         _link_pair(site, at_i, at_j, done)
     agenda.file(site, ordered_pair(i.robot, j.robot), now_s)

@@ -116,7 +116,8 @@ def why_not_located(site: Site, robot: Robot, settings: ServerSettings, now_s: f
 
 def _with_clicks_told(site: Site, robot: Robot, why_not: str) -> str:
     """A reason, and what was told of the points clicked for the robot, if that is still so."""
-    told = [site.pair(robot.name, other).told for other in site.partners[robot.name]]
+    records = [site.pair(robot.name, other) for other in site.partners[robot.name]]
+    told = [record.told or record.contradicted for record in records]
     return "; ".join([why_not, *filter(None, told)]) if why_not else ""
 
 

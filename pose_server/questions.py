@@ -61,7 +61,13 @@ def _ranked(site: Site, newest: dict[str, ViewName]) -> tuple[Question, ...]:
         if _is_up_to_the_operator(site, *pair)
     ]
     ranked = rank_questions(
-        site.solution, newest, facts, depth_m, site.anchor, located_sigma=site.located_sigma
+        site.solution,
+        newest,
+        facts,
+        depth_m,
+        site.anchor,
+        located_sigma=site.located_sigma,
+        located_grave=site.located_grave,
     )
     return tuple(ranked)
 
@@ -207,6 +213,7 @@ def _why(pair: RobotPair, record: PairRecord, chance: float) -> str:
             f"{i}-{j} fits {1 + len(last.rivals)} ways, {np.linalg.norm(apart[:3, 3]):.2g} m and "
             f"{turn_deg:.0f} deg apart: is there something that exists only once?"
         )
-    if record.told:
-        return f"{record.told[0].upper()}{record.told[1:]}."
+    told = record.told or record.contradicted
+    if told:
+        return f"{told[0].upper()}{told[1:]}."
     return f"The chance that they show the same is {chance:.0%}."

@@ -105,6 +105,7 @@ class PairRecord:
             whether they are believed.
         clicks_grave: probability that the pose of those is gravely off.
         told: what operators were told about them.
+        contradicted: what they are told where the solution contradicts those that are believed.
         last: the newest alignment, its views and when it ended.
     """
 
@@ -117,6 +118,7 @@ class PairRecord:
     heard: dict[tuple[int, int], bool] = field(default_factory=dict)
     clicks_grave: float = 1.0
     told: str = ""
+    contradicted: str = ""
     last: PairResult | None = None
     last_views: ViewPair | None = None
     last_s: float = -np.inf
@@ -139,6 +141,7 @@ class Site:
 
     Attributes:
         located_sigma: largest position sigma of a located robot, share of the depth.
+        located_grave: largest probability that a located robot is gravely off.
         pins: by operator and session.
         agenda: which pairs wait to be aligned.
         kinds: of work of which each has its share.
@@ -162,6 +165,7 @@ class Site:
     book: Book
     skip: frozenset[RobotPair] = frozenset()
     located_sigma: float = 0.05
+    located_grave: float = 0.05
     anchor: str | None = None
     views: ViewStore = field(default_factory=ViewStore)
     robots: dict[str, Robot] = field(default_factory=dict)

@@ -1,9 +1,10 @@
 """A pair's alignment and the operator's clicks: who is to be believed, and what is told.
 
-The images decide. A verified pose stands. Else every set of clicks that agrees with itself proposes
-a pose, and the one that the images support best is taken; where they say nothing, as between views
-from very different sides, the clicks make it plausible, but nobody is located by that. What the
-images contradict, whoever clicked it, is refused and named.
+The images decide. A verified pose stands, unless they like what was clicked as well. Else every set
+of clicks that agrees with itself proposes a pose, and the one that the images support best is
+taken; where they say nothing, as between views from very different sides, the clicks make it
+plausible, but nobody is located by that. What the images contradict, whoever clicked it, is refused
+and named.
 """
 
 from collections.abc import Sequence
@@ -57,16 +58,19 @@ def with_clicks(
     full = [one for one in sets if one.covariance is not None and one.alone]
     if not full:
         return _undetermined(result, clicks, i, j)
-    if result.verdict == "verified":
-        return _beside_verified(result, full, i, j)
+    if result.T_i_j is not None and result.verdict == "verified":
+        agreeing = [one for one in full if one.suits(result.T_i_j)]
+        if agreeing:
+            return _confirmed(result, agreeing[0])
     pair = Pair(i, j, RATIO)
     heard = [(one, _heard(pair, one, result)) for one in full]
     best, said = max(heard, key=lambda both: _weight(*both))
+    if result.verdict == "verified" and not _as_good(pair, said, result):
+        return _outdone(result, best, pair)
     if said.says == "against":
         return _refused(result, best, said, clicks, pair)
-    rival = _rival(pair, result, best, said)
-    if rival is not None:
-        return _open(result, best, said, rival, pair)
+    if _has_a_rival(pair, result, best, said):
+        return _open(result, best, said, pair)
     if not _breaks_the_tie(pair, result, best, said):
         return _tied(result, best, said, pair)
     return _believed(result, best, said, pair)
@@ -112,21 +116,31 @@ def _weight(one: OperatorStart, said: Heard) -> tuple[float, ...]:
     return _RANK[said.says], supported, count, float(number[one.inliers].mean())
 
 
-def _beside_verified(
-    result: PairResult, full: Sequence[OperatorStart], i: PreparedView, j: PreparedView
-) -> PairResult:
+def _confirmed(result: PairResult, one: OperatorStart) -> PairResult:
+    """A verified pose that clicks agree with."""
     assert result.T_i_j is not None
-    agreeing = any(one.suits(result.T_i_j) for one in full)
-    accepted = _agreeing(full[0], result.T_i_j)
-    told = ""
-    if not agreeing:
-        told = (
-            f"your {_points(full[0])} in {i.name.robot} and {j.name.robot} fit each other, but "
-            f"{result.inliers} matches of the images fit another pose: are these the same places?"
-        )
-    grown = agreeing and result.start == "operator"
-    hearing = Hearing(accepted, _grave(result) if agreeing else 1.0, told)
-    return replace(result, confirmed=agreeing, grown=grown, hearing=hearing)
+    hearing = Hearing(_agreeing(one, result.T_i_j), min(result.p_grave, P_SUPPORTED))
+    return replace(result, confirmed=True, grown=result.start == "operator", hearing=hearing)
+
+
+def _as_good(pair: Pair, said: Heard, result: PairResult) -> bool:
+    """Whether the images like a clicked pose about as much as the verified one: an alias may have
+    been verified, of which they explain less.
+    """
+    if said.says != "for" or result.T_i_j is None:
+        return False
+    return said.share > hear(pair, result.T_i_j).share / _MUCH_BETTER
+
+
+def _outdone(result: PairResult, best: OperatorStart, pair: Pair) -> PairResult:
+    """The clicks are wrong: another pose is verified, and the images like that much better."""
+    assert result.T_i_j is not None
+    told = (
+        f"your {_points(best)} in {pair.i.name.robot} and {pair.j.name.robot} fit each other, but "
+        f"{result.inliers} matches of the images fit another pose: are these the same places?"
+    )
+    hearing = Hearing(_agreeing(best, result.T_i_j), 1.0, told)
+    return replace(result, confirmed=False, grown=False, hearing=hearing)
 
 
 def _believed(result: PairResult, best: OperatorStart, said: Heard, pair: Pair) -> PairResult:
@@ -183,22 +197,26 @@ def _refused(
     return replace(result, reasons=reasons, confirmed=False, grown=False, hearing=hearing)
 
 
-def _rival(pair: Pair, result: PairResult, best: OperatorStart, said: Heard) -> Heard | None:
-    """What features found, if it is another pose and the images like that clearly better."""
-    if result.verdict != "plausible" or result.T_i_j is None or best.suits(result.T_i_j):
-        return None
+def _has_a_rival(pair: Pair, result: PairResult, best: OperatorStart, said: Heard) -> bool:
+    """Whether features found another pose which the images like clearly better, or which is
+    verified and which they do not like clearly less.
+    """
+    found = result.verdict in ("verified", "plausible")
+    if not found or result.T_i_j is None or best.suits(result.T_i_j):
+        return False
     other = hear(pair, result.T_i_j)
-    better = said.says == "nothing" or other.share > _MUCH_BETTER * said.share
-    return other if other.says == "for" and better else None
+    if result.verdict == "verified":
+        better = said.share < _MUCH_BETTER * other.share
+    else:
+        better = said.says == "nothing" or other.share > _MUCH_BETTER * said.share
+    return other.says == "for" and better
 
 
-def _open(
-    result: PairResult, best: OperatorStart, said: Heard, other: Heard, pair: Pair
-) -> PairResult:
+def _open(result: PairResult, best: OperatorStart, said: Heard, pair: Pair) -> PairResult:
     """Clicks and features lead to two poses: neither joins anything until more is known."""
     told = (
         f"your {_points(best)} in {pair.i.name.robot} and {pair.j.name.robot} fit each other, but "
-        f"the images fit another pose better ({result.inliers} matches): are these the same "
+        f"the images fit another pose as well ({result.inliers} matches): are these the same "
         "places? More points decide"
     )
     return replace(
@@ -206,6 +224,8 @@ def _open(
         verdict="ambiguous",
         reasons=(told, *result.reasons),
         rivals=(*result.rivals, said.T_i_j),
+        confirmed=False,
+        grown=False,
         hearing=Hearing((False,) * len(best.inliers), 1.0, told),
     )
 

@@ -54,8 +54,8 @@ class Heard:
     """What the images say of a pose.
 
     Attributes:
-        share: points found where they should be, of those that may be expected; less where the
-            cloud is seen through.
+        share: points found where they should be, of those that may be expected, 1 at most; less
+            where the cloud is seen through.
         why: what speaks against it, in words.
     """
 
@@ -80,7 +80,7 @@ def hear(pair: Pair, T: Floats) -> Heard:
     visible, parallax_rad = _visible(pair, T)
     found = found_again(pair, T)
     expected = visible * max(float(np.exp(-((parallax_rad / _PARALLAX_RAD) ** 2))), _LEAST_EXPECTED)
-    share = found / max(expected, 1.0) * max(0.0, 1.0 - 2.0 * seen.through)
+    share = min(found / max(expected, 1.0), 1.0) * max(0.0, 1.0 - 2.0 * seen.through)
     if share >= _FOR and found >= _FEW + _CHANCE * visible:
         return Heard(T, "for", share)
     if share < _AGAINST and expected >= _TELLING:

@@ -172,3 +172,23 @@ def test_the_job_of_a_pair_tells_what_became_of_its_clicks():
     result = run_job(Job("clicks", *encoded, features=False, clicks=again))
     assert result.hearing is not None
     assert result.hearing.accepted == (False,) * 4 + (True,) * 3
+
+
+def test_clicks_that_images_like_better_than_a_verified_alias_are_heard():
+    """An alias was verified, of which the images find next to nothing again."""
+    alias = T_TRUE.copy()
+    alias[0, 3] += 3.0
+    verified = PairResult(alias, np.eye(6), "verified", ("14 matches",), 14, start="features")
+    result = told(verified, clicked(RIGHT))
+    assert np.allclose(result.T_i_j, T_TRUE, atol=0.05) and result.confirmed
+    assert result.verdict == "plausible"
+    wrong = told(replace(verified, T_i_j=T_TRUE), clicked(RIGHT, RIGHT + STEP))
+    assert wrong.T_i_j is T_TRUE and wrong.verdict == "verified" and not wrong.confirmed
+
+
+def test_clicks_that_images_like_as_well_as_a_verified_pose_leave_it_ambiguous():
+    views, twin, _, things = two_alike(6)
+    verified = PairResult(twin, np.eye(6), "verified", ("many matches",), 200, start="features")
+    result = told(verified, clicked(things[:4], T_i_j=turned(10)), views)
+    assert result.verdict == "ambiguous" and not result.confirmed
+    assert any(np.allclose(T, turned(10), atol=0.2) for T in (result.T_i_j, *result.rivals))

@@ -5,6 +5,7 @@ import pytest
 
 from pose_server import pipeline
 from pose_server.correspondences.book import Book
+from pose_server.fleet.types import Edge
 from pose_server.geometry.se3 import inverse, transform
 from pose_server.pairs.engine import Done, run_job
 from pose_server.pairs.judging import PairResult
@@ -174,3 +175,18 @@ def test_a_pair_that_fits_two_ways_joins_nothing_and_the_question_asks_for_what_
     (question,) = questions(two.site)
     assert "r1-r2 fits 2 ways" in question.reason and "180 deg apart" in question.reason
     assert "is there something that exists only once?" in question.reason
+
+
+def test_where_the_rest_of_the_fleet_contradicts_points_that_fit_their_pair_that_is_said():
+    two = Two(blank=True)
+    for k in range(2, 7):
+        two.click(k)
+    two.work()
+    elsewhere = T_TRUE.copy()
+    elsewhere[0, 3] += 3.0
+    a, b = (two.site.robots[name].newest for name in ("r1", "r2"))
+    two.site.link(Edge(a, b, elsewhere, 1e-6 * np.eye(6), "verified"))
+    two.work()
+    assert two.statuses() == ["outlier"] * 5
+    assert "the rest of the fleet contradicts them" in two.site.pair("r1", "r2").contradicted
+    assert sum("the rest of the fleet" in event for event in two.site.events) == 1

@@ -122,8 +122,9 @@ def test_a_plausible_pose_yields_to_clicks_that_contradict_it_and_a_verified_one
     result = PairResult(far, np.eye(6), "plausible", ("some matches agree",), start="features")
     found = told(result, clicked(POINTS))
     assert np.allclose(found.T_i_j, T_TRUE, atol=0.05) and found.confirmed
-    found = told(replace(result, verdict="verified"), clicked(POINTS))
-    assert found.T_i_j is far and not found.confirmed
+    verified = replace(result, T_i_j=T_TRUE, verdict="verified")
+    found = told(verified, clicked(POINTS, far))
+    assert found.T_i_j is T_TRUE and not found.confirmed
     assert found.hearing is not None and "fit another pose" in found.hearing.told
 
 
