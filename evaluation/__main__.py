@@ -128,8 +128,21 @@ def clicks(
     data: Data,
     out: Out,
     clouds: Clouds = None,
-    clicks: Annotated[int, typer.Option(min=0, help="Per pair.")] = 3,
+    clicks: Annotated[
+        str, typer.Option(help="Per pair; with --consistent-wrong also from..to, e.g. 3..6.")
+    ] = "3",
     wrong: Annotated[int, typer.Option(min=0, help="So many of them are 50 px off.")] = 0,
+    consistent_wrong: Annotated[
+        float,
+        typer.Option(min=0, metavar="METRES", help="All are so far along the surface off instead."),
+    ] = 0.0,
+    permuted: Annotated[
+        bool, typer.Option("--permuted", help="Click four points of a plane in every wrong order.")
+    ] = False,
+    automatic: Annotated[
+        bool,
+        typer.Option("--automatic", help="With these two: the server aligns the pair first."),
+    ] = False,
     angles: Annotated[str, typer.Option(help="Between optical axes, degrees.")] = "40,90",
     min_shared: Annotated[int, typer.Option(min=0, help="Points that both views see.")] = 30,
     draws: Annotated[int, typer.Option(min=1, help="Of clicks, per pair.")] = 20,
@@ -142,14 +155,22 @@ def clicks(
 
     Three clicks at wide angles: --clicks 3 --angles 40,90. One of five wrong: --clicks 5 --wrong 1;
     the summary then gives the success with the four right ones beside it.
+
+    Clicks that deceive: --consistent-wrong 1.5 --clicks 3..6, or --permuted. These go through the
+    server's own site, which knows two robots; the summary gives grave_located (robots that are
+    located and gravely off: none is right), told_wrong, and recovered: three right clicks that are
+    added afterwards win.
     """
     from evaluation.interaction.clicks import ClicksOptions, run
 
     low, high = _numbers("--angles", angles, 2)
+    fewest, most = _from_to("--clicks", clicks)
+    if fewest < most and not consistent_wrong:
+        raise typer.BadParameter(f"--clicks {clicks}: from..to goes with --consistent-wrong")
     options = ClicksOptions(
         data=data,
         clouds=clouds.value if clouds else None,
-        clicks=clicks,
+        clicks=fewest,
         wrong=wrong,
         angles_deg=(low, high),
         min_shared=min_shared,
@@ -157,6 +178,10 @@ def clicks(
         limit=limit,
         workers=workers,
         seed=seed,
+        consistent_wrong_m=consistent_wrong,
+        most_clicks=most,
+        permuted=permuted,
+        automatic=automatic,
     )
     run(options, out)
 
@@ -338,6 +363,22 @@ def wire(
     from evaluation.wire import run
 
     run(data, clouds.value if clouds else None, out, views)
+
+
+def _from_to(option: str, text: str) -> tuple[int, int]:
+    """One whole number, or two with dots between them.
+
+    Raises:
+        FleetPoseError: it is something else.
+    """
+    first, dots, last = text.partition("..")
+    (low,) = _numbers(option, first, 1)
+    (high,) = _numbers(option, last, 1) if dots else (low,)
+    if not 0 <= low <= high:
+        from protocol.errors import FleetPoseError
+
+        raise FleetPoseError(f"{option} {text!r}: write a number like 3, or from..to like 3..6")
+    return low, high
 
 
 def main() -> None:

@@ -15,6 +15,7 @@ from evaluation.geometry import Floats
 from evaluation.scoring import OverlapCloud, overlap
 
 if TYPE_CHECKING:
+    from pose_server.pairs.hearing import Hearing
     from pose_server.pairs.judging import PairResult
     from pose_server.pairs.views import PreparedView
 
@@ -24,7 +25,7 @@ CACHED_VIEWS = 64
 @dataclass(frozen=True)
 class Answer:
     """What the server would publish of a pair; nobody here knows the truth. `wide`: whether the
-    usual salient points had not settled it.
+    usual salient points had not settled it; `hearing`: what became of its clicks.
     """
 
     T_i_j: Floats | None
@@ -40,6 +41,7 @@ class Answer:
     p_grave: float = 1.0
     mirrored: bool = False
     evidence: dict[str, float] = field(default_factory=dict)
+    hearing: "Hearing | None" = None
 
 
 def use_one_thread() -> None:
@@ -158,6 +160,7 @@ def answer_of(result: "PairResult", align_ms: float, wide: bool = False) -> Answ
         start=result.start,
         confirmed=result.confirmed,
         grown=result.grown,
+        hearing=result.hearing,
         inliers=int(result.inliers),
         align_ms=align_ms,
         wide=wide,

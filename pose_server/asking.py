@@ -143,9 +143,9 @@ def note_solved(site: "Site") -> None:
     opened, now = site.asking.open, _standing(site)
     if opened is None or now is None:
         return
-    answer = _answer(opened, now)
-    site.asking.answers = (*site.asking.answers[:-1], answer)
     record = site.pair(*opened.pair)
+    answer = _answer(opened, now, record.told)
+    site.asking.answers = (*site.asking.answers[:-1], answer)
     at_work = record.clicks_due or record.running
     if not opened.told and (answer.joined or opened.clicks >= CLICKS_TO_JOIN) and not at_work:
         opened.told = True
@@ -160,7 +160,8 @@ def _standing(site: "Site") -> Standing | None:
     return standing(site.solution, newest, depth_m, site.anchor)
 
 
-def _answer(opened: Open, now: Standing) -> Answer:
+def _answer(opened: Open, now: Standing, told: str = "") -> Answer:
+    """What clicks did; `told` is what the images say of them."""
     i, j = opened.pair
     predicted = opened.predicted_m * opened.clicks
     realised = opened.before.mean_sigma_m - now.mean_sigma_m
@@ -179,7 +180,7 @@ def _answer(opened: Open, now: Standing) -> Answer:
         predicted=predicted,
         realised=realised,
         joined=joined,
-        text=f"{points} in {i} and {j}: {did}{gain}",
+        text=f"{points} in {i} and {j}: {did}{gain}" + (f"; {told}" if told else ""),
     )
 
 

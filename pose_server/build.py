@@ -34,6 +34,7 @@ def build(settings: ServerSettings) -> Service:
     site = restored_site(
         journal, stored_graph(graph_file), skip, settings.anchor, settings.located_sigma
     )
+    site.located_grave = settings.located_grave
     endpoints = SessionSettings(settings.connect, settings.listen, settings.config)
     return Service(site, journal, Link(open_session(endpoints)), settings)
 

@@ -6,6 +6,7 @@ carried there and goes on helping when the robot has moved on.
 
 from collections import Counter, defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,8 @@ from pose_server.fleet.types import ClickFactor
 from pose_server.geometry.consensus import OUTLIER_CHI2
 from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.se3 import transform
-from pose_server.pairs.starts import Clicks
+from pose_server.pairs.hearing import Hearing
+from pose_server.pairs.starts import FULL_POSE, Clicks
 from pose_server.pairs.tracking import Attached
 from pose_server.site import RobotPair, Site
 from protocol.messages import CorrespondenceStatus, ViewName
@@ -27,11 +29,16 @@ BEHIND_PX = 1e6  # told of a point that ends up behind the camera
 
 
 def click_factors(site: Site) -> list[ClickFactor]:
-    """All live correspondences whose views hang on keyframes of the graph."""
+    """The live correspondences whose views hang on keyframes of the graph. What their pair refuses
+    is left out, and so is what it is still to be asked about.
+    """
     nodes, before, site.factors = set(site.keyframes()), site.factors, {}
     for kept in site.book.all():
         i, j = site.attached(kept.item.view_i), site.attached(kept.item.view_j)
         if i is None or j is None or i.keyframe not in nodes or j.keyframe not in nodes:
+            continue
+        p_grave = _heard_as(site, kept)
+        if p_grave is None:
             continue
         number, made_of = kept.item.id, (i, j, kept.p_i, kept.p_j)
         known = before.get(number)
@@ -40,12 +47,49 @@ def click_factors(site: Site) -> list[ClickFactor]:
             p_b, C_b = _carried(j, kept.p_j, kept.C_j)
             factor = ClickFactor(i.keyframe, j.keyframe, p_a, p_b, C_a, C_b, number)
             known = made_of, factor
+        if known[1].p_grave != p_grave:
+            known = known[0], replace(known[1], p_grave=p_grave)
         site.factors[number] = known
     return [factor for _, factor in site.factors.values()]
 
 
+def _heard_as(site: Site, kept: Kept) -> float | None:
+    """How likely what a correspondence says is gravely off; None where it does not count.
+
+    One that its pair was not asked about, because it hangs where nothing is known of the others,
+    pulls at what is joined, and joins nothing.
+    """
+    record = site.pair(kept.item.view_i.robot, kept.item.view_j.robot)
+    believed = record.heard.get((kept.item.id, kept.item.revision))
+    if believed is None:
+        return None if record.clicks_due or record.running else 1.0
+    return record.clicks_grave if believed else None
+
+
+def is_refused(site: Site, kept: Kept) -> bool:
+    """Whether the images contradict a correspondence."""
+    record = site.pair(kept.item.view_i.robot, kept.item.view_j.robot)
+    return record.heard.get((kept.item.id, kept.item.revision)) is False
+
+
+def note_heard(site: Site, pair: RobotPair, clicks: Clicks | None, hearing: Hearing | None) -> None:
+    """Files what became of a pair's correspondences when the images were asked about them."""
+    record = site.pair(*pair)
+    if clicks is None or hearing is None:
+        record.heard, record.clicks_grave, record.told = {}, 1.0, ""
+        return
+    record.heard = dict(zip(clicks.ids, hearing.accepted, strict=True)) if clicks.ids else {}
+    record.clicks_grave = hearing.p_grave
+    if hearing.told and hearing.told != record.told:
+        site.say(hearing.told)
+    record.told = hearing.told
+    site.dirty = True
+
+
 def clicks_between(site: Site, a: str, b: str) -> tuple[tuple[ViewName, ViewName], Clicks] | None:
-    """The keyframes that most of a pair's correspondences hang on, and these as seen from there."""
+    """The keyframes that most of a pair's correspondences hang on, and all of these as seen from
+    there, as far as the solution knows how other keyframes of the two robots stand to these.
+    """
     placed: list[tuple[tuple[ViewName, ViewName], Kept, Attached, Attached]] = []
     for kept in site.book.of(a, b):
         i, j = site.attached(kept.item.view_i), site.attached(kept.item.view_j)
@@ -59,13 +103,16 @@ def clicks_between(site: Site, a: str, b: str) -> tuple[tuple[ViewName, ViewName
     if not placed:
         return None
     views = Counter(entry[0] for entry in placed).most_common(1)[0][0]
-    rows_i, rows_j = [], []
-    for keyframes, kept, i, j in placed:
-        if keyframes == views:
-            rows_i.append(_seen(site, i, kept.p_i, kept.C_i))
-            rows_j.append(_seen(site, j, kept.p_j, kept.C_j))
-    at_i, at_j = np.array(rows_i), np.array(rows_j)
-    return views, Clicks(at_i[:, :2], at_j[:, :2], at_i[:, 2], at_j[:, 2], at_i[:, 3], at_j[:, 3])
+    rows, ids = [], []
+    for _, kept, i, j in placed:
+        seen_i = _seen(site, views[0], i, kept.p_i, kept.C_i)
+        seen_j = _seen(site, views[1], j, kept.p_j, kept.C_j)
+        if seen_i is not None and seen_j is not None:
+            rows.append((*seen_i, *seen_j))
+            ids.append((kept.item.id, kept.item.revision))
+    u_i, v_i, z_i, sigma_i, u_j, v_j, z_j, sigma_j = np.array(rows).reshape(-1, 8).T
+    uv_i, uv_j = np.column_stack((u_i, v_i)), np.column_stack((u_j, v_j))
+    return views, Clicks(uv_i, uv_j, z_i, z_j, sigma_i, sigma_j, tuple(ids))
 
 
 def judge(site: Site) -> list[RobotPair]:
@@ -81,17 +128,47 @@ def judge(site: Site) -> list[RobotPair]:
         verdicts: dict[int, Judgement] = {}
         for views, clicked in by_views.items():
             points, T_i_j = [kept.p_i for kept in clicked], site.relative(*views)
+            refused = tuple(is_refused(site, kept) for kept in clicked)
             known = before.get(views)
             if T_i_j is None:
-                verdicts |= {kept.item.id: ("unused", None, None) for kept in clicked}
-            elif known and _same(known[0], points) and _alike(known[1], T_i_j, site.depth_m):
+                verdicts |= {
+                    kept.item.id: ("outlier" if wrong else "unused", None, None)
+                    for kept, wrong in zip(clicked, refused, strict=True)
+                }
+            elif (
+                known
+                and _same(known[0], points)
+                and _alike(known[1], T_i_j, site.depth_m)
+                and known[2] == refused
+            ):
                 site.judged[views] = known
             else:
-                site.judged[views] = points, T_i_j
-                verdicts |= _judged(site, views, clicked, T_i_j)
+                site.judged[views] = points, T_i_j, refused
+                verdicts |= _judged(site, views, clicked, T_i_j, refused)
         if site.book.set_status(pair, verdicts):
             changed.append(pair)
+        _note_contradicted(site, pair)
     return changed
+
+
+def _note_contradicted(site: Site, pair: RobotPair) -> None:
+    """Operators are told where the fleet contradicts points that their own pair believes."""
+    record = site.pair(*pair)
+    believed = [
+        kept
+        for kept in site.book.of(*pair)
+        if record.heard.get((kept.item.id, kept.item.revision)) and record.clicks_grave < 1.0
+    ]
+    wrong = sum(kept.item.status == "outlier" for kept in believed)
+    told = ""
+    if wrong >= FULL_POSE and 2 * wrong > len(believed):
+        told = (
+            f"{wrong} points in {pair[0]} and {pair[1]} fit each other, but the rest of the fleet "
+            "contradicts them: are these the same places in both images?"
+        )
+        if told != record.contradicted:
+            site.say(told)
+    record.contradicted = told
 
 
 def _same(before: Sequence[object], now: Sequence[object]) -> bool:
@@ -106,7 +183,11 @@ def _alike(T: Floats, other: Floats, depth_m: float) -> bool:
 
 
 def _judged(
-    site: Site, views: tuple[ViewName, ViewName], clicked: Sequence[Kept], T_i_j: Floats
+    site: Site,
+    views: tuple[ViewName, ViewName],
+    clicked: Sequence[Kept],
+    T_i_j: Floats,
+    refused: tuple[bool, ...],
 ) -> dict[int, Judgement]:
     """How the correspondences of two views fit a relative pose, by id."""
     pairs = point_pairs(clicked)
@@ -117,7 +198,7 @@ def _judged(
         off_px = np.linalg.norm(seen[:, :2] / seen[:, 2:] - pixels, axis=1)
     off_px = np.where(seen[:, 2] > 0, off_px, BEHIND_PX)
     off_m = np.linalg.norm(pairs.p_a - p, axis=1)
-    wrong = contradicts(T_i_j, pairs)
+    wrong = contradicts(T_i_j, pairs) | np.array(refused)
     return {
         kept.item.id: ("outlier" if wrong[k] else "accepted", float(off_m[k]), float(off_px[k]))
         for k, kept in enumerate(clicked)
@@ -142,8 +223,19 @@ def _carried(here: Attached, p: Floats, C: Floats) -> tuple[Floats, Floats]:
     return transform(here.T_keyframe_view, p[None])[0], R @ C @ R.T
 
 
-def _seen(site: Site, here: Attached, p: Floats, C: Floats) -> tuple[float, float, float, float]:
-    """(u, v, z, sigma z) of a clicked point in its keyframe."""
+def _seen(
+    site: Site, view: ViewName, here: Attached, p: Floats, C: Floats
+) -> tuple[float, float, float, float] | None:
+    """(u, v, z, sigma z) of a clicked point in a keyframe of its robot, its own or another one;
+    None where that does not have it before its camera, or is not known.
+    """
     point, covariance = _carried(here, p, C)
-    u, v, w = site.views[here.keyframe].camera.K @ point
+    if here.keyframe != view:
+        T = site.relative(view, here.keyframe)
+        if T is None:
+            return None
+        point, covariance = transform(T, point[None])[0], T[:3, :3] @ covariance @ T[:3, :3].T
+    if point[2] <= 0:
+        return None
+    u, v, w = site.views[view].camera.K @ point
     return u / w, v / w, float(point[2]), float(np.sqrt(covariance[2, 2]))

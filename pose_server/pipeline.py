@@ -14,11 +14,11 @@ import numpy as np
 from pose_server.alarms import note_depths, note_mirror
 from pose_server.anchoring import choose_anchor, gauge_of
 from pose_server.asking import note_clicks, note_selection, note_solved
-from pose_server.clicks import click_factors, clicks_between, judge
+from pose_server.clicks import click_factors, clicks_between, judge, note_heard
 from pose_server.correspondences.book import Outcome
 from pose_server.doubts import reconsider
 from pose_server.fleet.graph import solve_fleet
-from pose_server.fleet.types import Edge, SolveSettings
+from pose_server.fleet.types import GRAVE_BY_VERDICT, Edge, SolveSettings
 from pose_server.following import back_job, followed, look_back, newest_arrived, track_job
 from pose_server.frames import on_keyframes
 from pose_server.pairs import agenda
@@ -228,6 +228,7 @@ def _click_job(site: Site) -> Job | None:
         record.clicks_due = False
         job = _with_clicks(site, a, b)
         if job is None:
+            note_heard(site, (a, b), None, None)
             _unlink_operator(site, a, b)
             continue
         record.running = True
@@ -317,17 +318,27 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
     if done.job.purpose == "clicks" and not done.job.features:
         may_ask = ordered_pair(i.robot, j.robot) not in site.skip
         record.search_due = may_ask and done.result.verdict != "verified"
-    if done.job.features:
-        record.searched[i, j] = done.result
+    if done.job.purpose == "clicks":
+        note_heard(site, (i.robot, j.robot), done.job.clicks, done.result.hearing)
+    if done.job.features and (done.job.clicks is None or done.result.verdict == "verified"):
+        record.searched[i, j] = done.result  # by features; what clicks added is not
     note_open(site, done)
     if _is_better(done.result, record.best):
         record.best, record.best_views = done.result, (i, j)
     at_i, at_j = site.attached(i), site.attached(j)
-    if done.job.purpose == "clicks" and not accepted(done.result):
+    if done.job.purpose == "clicks" and _refuses_clicks(done.result):
         _unlink_operator(site, i.robot, j.robot)
+    if done.result.verdict == "ambiguous" and at_i is not None and at_j is not None:
+        site.unlink((at_i.keyframe, at_j.keyframe, "pair"))  # what was sure of it is not any more
     if accepted(done.result) and at_i is not None and at_j is not None:
         _link_pair(site, at_i, at_j, done)
     agenda.file(site, ordered_pair(i.robot, j.robot), now_s)
+
+
+def _refuses_clicks(result: PairResult) -> bool:
+    """Whether nothing may rest on the clicks that an alignment was made with."""
+    hearing = result.hearing
+    return not accepted(result) or (hearing is not None and not any(hearing.accepted))
 
 
 def _unlink_operator(site: Site, a: str, b: str) -> None:
@@ -348,7 +359,10 @@ def _link_pair(site: Site, i: Attached, j: Attached, done: Done) -> None:
     # two parts of one robot's track join as two robots do: it does not know the way between them
     edge = Edge(
         *(i.keyframe, j.keyframe, T, covariance, result.verdict, "pair", operator, grown),
-        p_grave=result.p_grave,
+        p_grave=result.p_grave if result.p_grave < 1.0 else GRAVE_BY_VERDICT[result.verdict],
+        structure=(
+            None if result.structure is None else result.structure.seen_from(i.T_keyframe_view)
+        ),
     )
     before = site.edges.get(edge.key)
     if before is None or operator or _rank(edge) >= _rank(before):

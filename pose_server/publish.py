@@ -8,6 +8,7 @@ import numpy.typing as npt
 from pose_server import alarms
 from pose_server.anchoring import why_apart
 from pose_server.doubts import why_doubted
+from pose_server.fleet.types import NodePose
 from pose_server.frames import body_pose, in_fleet, position_sigma, strayed
 from pose_server.geometry.se3 import rotation_angle
 from pose_server.matrix import error_of, pair_cells
@@ -63,13 +64,13 @@ def robot_pose(
         return None
     component = site.component_name(root)
     age_s = max(0.0, stamp.now_s - kept.received_s)
-    verdict = site.solution.nodes[newest.keyframe].verdict
+    node = site.solution.nodes[newest.keyframe]
     why_not = (
         _absent(robot)
         or why_doubted(site, robot)
-        or _why_not(site, settings, root, verdict, age_s, T, covariance, kept.median_depth_m)
+        or _why_not(site, settings, node, age_s, T, covariance, kept.median_depth_m)
     )
-    robot.published_node = site.solution.nodes[newest.keyframe]
+    robot.published_node = node
     jumped = _jumped(site, robot, newest.keyframe, T_fleet_root, component)
     if age_s > settings.fresh_s:
         covariance = strayed(T, covariance, age_s, site.depth_m)
@@ -82,7 +83,7 @@ def robot_pose(
         covariance=covariance,
         component=component,
         located=not why_not,
-        verdict=verdict,
+        verdict=node.verdict,
         gauge_revision=site.gauge_revision,
         jumped=jumped,
         age_s=age_s,
@@ -113,19 +114,21 @@ def why_not_located(site: Site, robot: Robot, settings: ServerSettings, now_s: f
     if placed is None or placed[2] is None:
         return "its newest view does not hang on the fleet's graph"
     if site.gauge is None or placed[0] != site.gauge:
-        return why_apart(site, robot)
-    kept = site.views[pose.view]
+        return _with_clicks_told(site, robot, why_apart(site, robot))
+    kept, here = site.views[pose.view], site.attached(pose.view)
+    assert here is not None and site.solution is not None  # it is placed
+    node = site.solution.nodes[here.keyframe]
     age_s = now_s - kept.received_s
-    return _why_not(
-        site,
-        settings,
-        placed[0],
-        pose.verdict,
-        age_s,
-        pose.T_fleet_robot,
-        pose.covariance,
-        kept.median_depth_m,
-    )
+    T, covariance = pose.T_fleet_robot, pose.covariance
+    why = _why_not(site, settings, node, age_s, T, covariance, kept.median_depth_m)
+    return _with_clicks_told(site, robot, why)
+
+
+def _with_clicks_told(site: Site, robot: Robot, why_not: str) -> str:
+    """A reason, and what was told of the points clicked for the robot, if that is still so."""
+    records = [site.pair(robot.name, other) for other in site.partners[robot.name]]
+    told = [record.told or record.contradicted for record in records]
+    return "; ".join([why_not, *filter(None, told)]) if why_not else ""
 
 
 def _absent(robot: Robot) -> str:
@@ -140,21 +143,26 @@ def _absent(robot: Robot) -> str:
 def _why_not(
     site: Site,
     settings: ServerSettings,
-    root: ViewName,
-    verdict: str,
+    node: NodePose,
     age_s: float,
     T: Floats,
     covariance: Floats,
     depth_m: float,
 ) -> str:
-    if site.gauge is None or root != site.gauge:
+    if site.gauge is None or node.root != site.gauge:
         return "no verified alignment joins it to the fleet's anchor, directly or through others"
     if age_s > settings.fresh_s:
         return (
             f"its last pose is {age_s:.0f} s old: its newer views align with none of its keyframes"
         )
-    if verdict == "ambiguous":
+    if node.verdict == "ambiguous":
         return "the links to it contradict each other"
+    if node.p_grave > settings.located_grave:
+        limit = settings.located_grave
+        return (
+            f"its pose is gravely wrong with a probability of {node.p_grave:.1%}, need "
+            f"{limit:.0%}: no independent link to the anchor confirms the doubtful one it hangs by"
+        )
     share = position_sigma(T, covariance) / depth_m
     if share > settings.located_sigma:
         limit = settings.located_sigma

@@ -11,7 +11,7 @@ from pose_server.asking import Asked
 from pose_server.fleet import chances
 from pose_server.fleet.chances import Look, Try
 from pose_server.fleet.questions import PairFacts, rank_questions
-from pose_server.geometry.se3 import inverse
+from pose_server.geometry.se3 import inverse, rotation_angle
 from pose_server.pairs.candidates import similarity
 from pose_server.site import PairRecord, RobotPair, Site, ViewPair
 from pose_server.suggestions import with_suggestions
@@ -61,7 +61,13 @@ def _ranked(site: Site, newest: dict[str, ViewName]) -> tuple[Question, ...]:
         if _is_up_to_the_operator(site, *pair)
     ]
     ranked = rank_questions(
-        site.solution, newest, facts, depth_m, site.anchor, located_sigma=site.located_sigma
+        site.solution,
+        newest,
+        facts,
+        depth_m,
+        site.anchor,
+        located_sigma=site.located_sigma,
+        located_grave=site.located_grave,
     )
     return tuple(ranked)
 
@@ -192,5 +198,22 @@ def _facts(site: Site, pair: RobotPair, newest: dict[str, ViewName], chance: flo
         in_vain=_in_vain(site, pair, newest),
         fruitless=site.asking.fruitless(pair),
         verified=record.best is not None and record.best.verdict == "verified",
-        why=f"The chance that they show the same is {chance:.0%}.",
+        why=_why(pair, record, chance),
     )
+
+
+def _why(pair: RobotPair, record: PairRecord, chance: float) -> str:
+    """What speaks for asking, and what is to be looked for."""
+    i, j = pair
+    last = record.last
+    if last is not None and last.verdict == "ambiguous" and last.T_i_j is not None and last.rivals:
+        apart = inverse(last.T_i_j) @ last.rivals[0]
+        turn_deg = np.degrees(rotation_angle(apart[:3, :3]))
+        return (
+            f"{i}-{j} fits {1 + len(last.rivals)} ways, {np.linalg.norm(apart[:3, 3]):.2g} m and "
+            f"{turn_deg:.0f} deg apart: is there something that exists only once?"
+        )
+    told = record.told or record.contradicted
+    if told:
+        return f"{told[0].upper()}{told[1:]}."
+    return f"The chance that they show the same is {chance:.0%}."

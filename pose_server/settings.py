@@ -42,3 +42,9 @@ class ServerSettings(BaseSettings):
         gt=0,
         description="largest position sigma of a located robot, share of the median depth",
     )
+    located_grave: float = Field(
+        0.05,
+        gt=0,
+        lt=1,
+        description="largest probability that a located robot is gravely off",
+    )

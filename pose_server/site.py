@@ -104,6 +104,11 @@ class PairRecord:
         searched: what features gave for keyframe pairs.
         clicks_due: the operator's set changed and was not aligned since.
         search_due: it was, but without asking features again, and nothing sure was found.
+        heard: which correspondences, by id and revision, the images were asked about last, and
+            whether they are believed.
+        clicks_grave: probability that the pose of those is gravely off.
+        told: what operators were told about them.
+        contradicted: what they are told where the solution contradicts those that are believed.
         last: the newest alignment, its views and when it ended: this is what is told of the pair.
         best: by verdict, then inliers: what the agenda and the questions go by.
     """
@@ -114,6 +119,10 @@ class PairRecord:
     running: bool = False
     clicks_due: bool = False
     search_due: bool = False
+    heard: dict[tuple[int, int], bool] = field(default_factory=dict)
+    clicks_grave: float = 1.0
+    told: str = ""
+    contradicted: str = ""
     last: PairResult | None = None
     last_views: ViewPair | None = None
     last_s: float = -np.inf
@@ -136,6 +145,7 @@ class Site:
 
     Attributes:
         located_sigma: largest position sigma of a located robot, share of the depth.
+        located_grave: largest probability that a located robot is gravely off.
         pins: by operator and session.
         agenda: which pairs wait to be aligned.
         kinds: of work of which each has its share.
@@ -150,7 +160,8 @@ class Site:
         asking: what became of the questions.
         odometers: what robots say of their own motion.
         factors: of the last solve, by id of the correspondence, and what they were made of.
-        judged: points clicked in two views, and the relative pose that they were judged at last.
+        judged: points clicked in two views, the relative pose that they were judged at last, and
+            which of them their pair had refused then.
         bends: those of the alarms that say that a robot's depths bend.
         doubts: which robots' poses are not believed, and why.
         anchoring: which origins the fleet has had.
@@ -160,6 +171,7 @@ class Site:
     book: Book
     skip: frozenset[RobotPair] = frozenset()
     located_sigma: float = 0.05
+    located_grave: float = 0.05
     anchor: str | None = None
     views: ViewStore = field(default_factory=ViewStore)
     robots: dict[str, Robot] = field(default_factory=dict)
@@ -188,7 +200,9 @@ class Site:
     asking: Asking = field(default_factory=Asking)
     odometers: Odometers = field(default_factory=Odometers)
     factors: dict[int, tuple[tuple[object, ...], ClickFactor]] = field(default_factory=dict)
-    judged: dict[ViewPair, tuple[list[Floats], Floats]] = field(default_factory=dict)
+    judged: dict[ViewPair, tuple[list[Floats], Floats, tuple[bool, ...]]] = field(
+        default_factory=dict
+    )
     alarms: tuple[Alarm, ...] = ()
     bends: tuple[Alarm, ...] = ()
     alarms_told: set[tuple[str, str]] = field(default_factory=set)

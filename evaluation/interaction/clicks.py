@@ -16,6 +16,7 @@ from evaluation.datasets import (
     open_recording,
     shared_tracks,
 )
+from evaluation.interaction import deceived
 from evaluation.interaction.fleet import solve_ring
 from evaluation.interaction.rows import ClickRow, click_row, named, write_rows
 from evaluation.interaction.truth import true_pixels
@@ -39,6 +40,9 @@ class ClicksOptions:
         min_shared: points that both views must see, where the recording has tracks.
         draws: of clicks per pair.
         limit: so many pairs at most.
+        consistent_wrong_m: all clicks are so far along the surface off instead, from `clicks` to
+            `most_clicks` of them; `permuted`: four points of a plane are, in every wrong order.
+        automatic: of these two, whether the server has aligned the pair by itself before.
     """
 
     data: Path
@@ -51,6 +55,10 @@ class ClicksOptions:
     limit: int | None = None
     workers: int = 2
     seed: int = 0
+    consistent_wrong_m: float = 0.0
+    most_clicks: int = 0
+    permuted: bool = False
+    automatic: bool = False
 
 
 def run(options: ClicksOptions, out: Path) -> dict[str, Any]:
@@ -63,6 +71,8 @@ def run(options: ClicksOptions, out: Path) -> dict[str, Any]:
     if options.wrong > options.clicks:
         raise FleetPoseError(f"--wrong {options.wrong}: of {options.clicks} clicks at most all are")
     recording = open_recording(options.data, options.clouds)
+    if options.consistent_wrong_m or options.permuted:
+        return deceived.run(options, pairs_in_range(recording, options), out)
     pairs = {(i.index, j.index): (i, j) for i, j in pairs_in_range(recording, options)}
     output_folder(out)
     depth_m = median_depth_m(recording)

@@ -164,14 +164,16 @@ def _edge(
 def _clicks(
     names: Mapping[int, ViewName], pairs: Sequence[Pair], answers: Mapping[Pair, ClickedAnswer]
 ) -> Iterable[ClickFactor]:
-    """All clicks as the server's factors; the paper knows no such thing."""
+    """The clicks that their pair believes, as the server's factors; the paper has no such thing."""
     number = 0
     for pair in pairs:
-        clicked = answers[pair]
+        clicked, hearing = answers[pair], answers[pair].answer.hearing
         if clicked.answer.verdict == "":
             continue
         for k in range(len(clicked.at_i.p)):
             number += 1
+            if hearing is not None and not hearing.accepted[k]:
+                continue
             yield ClickFactor(
                 names[pair[0]],
                 names[pair[1]],
@@ -180,6 +182,7 @@ def _clicks(
                 clicked.at_i.C[k],
                 clicked.at_j.C[k],
                 number,
+                1.0 if hearing is None else hearing.p_grave,
             )
 
 
@@ -187,7 +190,10 @@ def _marked(
     solution: FleetSolution, names: Mapping[int, ViewName], pair: Pair, clicked: ClickedAnswer
 ) -> Mask | None:
     relative = solution.relative(names[pair[0]], names[pair[1]])
+    hearing = clicked.answer.hearing
+    refused = None if hearing is None else ~np.array(hearing.accepted, bool)
     if relative is None:
-        return None
+        return refused if refused is not None and refused.any() else None
     i, j = clicked.at_i, clicked.at_j
-    return contradicts(relative.T_a_b, PointPairs(i.p, j.p, i.C, j.C))
+    marked = contradicts(relative.T_a_b, PointPairs(i.p, j.p, i.C, j.C))
+    return marked if refused is None else marked | refused

@@ -2,14 +2,14 @@
 
 An edge alone between two components always fits, so no solver can tell whether it is wrong.
 Components are therefore joined only by a verified edge, by the operator (an edge grown from clicks,
-or three clicks), by a robot's own odometry, or by plausible edges from different views that agree
-in a cycle. What is left over are bridges to ask about.
+or three clicks that the images do not contradict), by a robot's own odometry, or by plausible edges
+that are independent witnesses (`witnesses`) and agree in a cycle. What is left over are bridges to
+ask about.
 """
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from pose_server.fleet.clicks import pose_from_clicks
 from pose_server.fleet.forest import Forest
 from pose_server.fleet.links import CONFIRMED, Link, link
 from pose_server.fleet.types import ClickFactor, SolveSettings
+from pose_server.fleet.witnesses import all_grave, independent, some_grave
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.noise import chi2_limit
 from pose_server.geometry.point_pairs import PointPairs
@@ -74,9 +75,9 @@ def partition(
     for one in strongest:
         forest.join(one)
     agreement = _Agreement(forest, names, hint, settings)
-    clicks = list(clicks)
+    clicks = [click for click in clicks if click[2].joins]
     doubtful = [one for one in links if one.edge not in joining and one.edge not in excluded]
-    doubtful.sort(key=lambda one: one.size_m)
+    doubtful.sort(key=lambda one: (one.p_grave, one.size_m))
     while _join_by_agreement(agreement, doubtful) or _join_by_clicks(agreement, clicks):
         pass
     groups = _between(forest, doubtful)
@@ -127,13 +128,10 @@ class _Agreement:
     def closes(self, cycle: Sequence[Link]) -> bool:
         """Whether links, each beginning in the tree where the last one ended, lead back."""
         T, covariance = np.eye(4), np.zeros((6, 6))
-        for k, one in enumerate(cycle):
-            for step, C in (
-                (one.T_a_b, one.left),
-                self.within(one.b, cycle[(k + 1) % len(cycle)].a),
-            ):
-                covariance = compose_covariance(T, covariance, C)
-                T = T @ step
+        for one, (step, C) in zip(cycle, self._gaps(cycle), strict=True):
+            for T_next, C_next in ((one.T_a_b, one.left), (step, C)):
+                covariance = compose_covariance(T, covariance, C_next)
+                T = T @ T_next
         turn, shift = rotation_angle(T[:3, :3]), float(np.linalg.norm(T[:3, 3]))
         if turn > self.settings.agree_rotation_rad or shift > self.settings.agree_translation_m:
             return False
@@ -141,17 +139,45 @@ class _Agreement:
         distance2 = float(xi @ np.linalg.solve(covariance, xi))
         return distance2 < chi2_limit(1 - self.settings.inlier_probability, 6)
 
+    def bear_witness(self, cycle: Sequence[Link]) -> bool:
+        """Whether the links of a cycle agree, and none of them only repeats another one."""
+        if not self.closes(cycle):
+            return False
+        T, structures = np.eye(4), []
+        for one, (step, _) in zip(cycle, self._gaps(cycle), strict=True):
+            structures.append(None if one.structure is None else one.structure.seen_from(T))
+            T = T @ one.T_a_b @ step
+        return independent(structures)
+
+    def witnesses(self, group: Sequence[Link]) -> tuple[list[Link], float]:
+        """Links between two trees of which each two are different evidence and agree, the surest
+        first, and the probability that all of them are gravely off.
+        """
+        chosen: list[Link] = []
+        for one in group:
+            if all(
+                self.distinct(one, other) and self.bear_witness((other, one.reversed()))
+                for other in chosen
+            ):
+                chosen.append(one)
+        return chosen, all_grave([one.p_grave for one in chosen])
+
+    def _gaps(self, cycle: Sequence[Link]) -> list[tuple[Floats, Floats]]:
+        """From the end of each link to the begin of the next one, within their tree."""
+        return [self.within(a.b, b.a) for a, b in zip(cycle, (*cycle[1:], cycle[0]), strict=True)]
+
 
 def _join_by_agreement(agreement: _Agreement, doubtful: Sequence[Link]) -> bool:
-    """Joins trees by plausible links that agree: two between the same trees, or a triangle."""
-    forest = agreement.forest
+    """Joins trees by plausible links that are independent witnesses: some between the same trees,
+    or a triangle.
+    """
+    forest, limit = agreement.forest, agreement.settings.most_grave
     groups = _between(forest, doubtful)
     joined = False
     for group in groups.values():
-        for one, two in combinations(group[:_MOST_COMPARED], 2):
-            if agreement.distinct(one, two) and agreement.closes((one, two.reversed())):
-                joined |= forest.join(one)
-                break
+        chosen, p_grave = agreement.witnesses(group[:_MOST_COMPARED])
+        if len(chosen) > 1 and p_grave <= limit:
+            joined |= forest.join(replace(chosen[0], p_grave=p_grave))
     if joined:
         return True  # the trees are others now
     neighbours: dict[int, set[int]] = defaultdict(set)
@@ -160,9 +186,11 @@ def _join_by_agreement(agreement: _Agreement, doubtful: Sequence[Link]) -> bool:
     for (a, b), group in groups.items():
         for c in sorted(neighbours[a] & neighbours[b]):
             cycle = (group[0], groups[b, c][0], groups[a, c][0].reversed())
+            p_grave = some_grave([one.p_grave for one in cycle])
             separate = len({forest.component(k) for k in (a, b, c)}) == 3
-            if separate and agreement.closes(cycle):
-                joined |= forest.join(cycle[0]) | forest.join(cycle[1])
+            if separate and p_grave <= limit and agreement.bear_witness(cycle):
+                for one in cycle[:2]:
+                    joined |= forest.join(replace(one, p_grave=p_grave))
     return joined
 
 
@@ -195,7 +223,8 @@ def _join_by_clicks(agreement: _Agreement, clicks: Sequence[tuple[int, int, Clic
             )
         except DegenerateGeometryError:
             continue  # they stay apart; the clicks wait for more
-        return forest.join(link(ref_a, ref_b, T, covariance, CONFIRMED))
+        p_grave = max(click.p_grave for _, _, click in group)
+        return forest.join(link(ref_a, ref_b, T, covariance, CONFIRMED, p_grave))
     return False
 
 

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from pose_server.fleet.types import Edge, SolveSettings
 from pose_server.geometry.se3 import hat
+from pose_server.geometry.structure import Structure
 from protocol.messages import Verdict, ViewName
 
 Floats = npt.NDArray[np.floating]
@@ -33,6 +34,8 @@ class Link:
         rank: how far it can be trusted, higher is better.
         size_m: how far it may put the other camera: one number for its uncertainty.
         edge: number of the edge it is made of, or None.
+        p_grave: probability that it is gravely off.
+        structure: what it rests on, in the frame of node a, where that is known.
     """
 
     a: int
@@ -44,6 +47,8 @@ class Link:
     rank: int
     size_m: float
     edge: int | None = None
+    p_grave: float = 0.0
+    structure: Structure | None = None
 
     def reversed(self) -> "Link":
         """The same from b to a: what perturbs T_a_b from the left perturbs T_b_a from the right."""
@@ -57,6 +62,8 @@ class Link:
             self.rank,
             self.size_m,
             self.edge,
+            self.p_grave,
+            None if self.structure is None else self.structure.seen_from(self.T_b_a),
         )
 
 
@@ -98,15 +105,20 @@ def links_of(
             rank,
             float(size[n]),
             k,
+            edge.p_grave,
+            edge.structure,
         )
         for n, (k, edge, rank) in enumerate(used)
     ]
 
 
-def link(a: int, b: int, T_a_b: Floats, covariance: Floats, rank: int) -> Link:
+def link(
+    a: int, b: int, T_a_b: Floats, covariance: Floats, rank: int, p_grave: float = 0.0
+) -> Link:
     """A link that is no edge."""
     T_inverse, left, right, size = _worked_out(T_a_b[None], covariance[None], 0.0, 0.0)
-    return Link(a, b, T_a_b, T_inverse[0], left[0], right[0], rank, float(size[0]))
+    size_m = float(size[0])
+    return Link(a, b, T_a_b, T_inverse[0], left[0], right[0], rank, size_m, None, p_grave)
 
 
 def _worked_out(

@@ -5,10 +5,10 @@ The gain of a question is the expected drop of the fleet's mean position sigma p
     gain = chance x (sum over robots of sigma now - sigma if it succeeds) / (robots x clicks)
 
 A robot that is not joined to the anchor has the sigma of the scene, `unknown_sigma_m`; so has one
-whose links contradict each other. Clicks are those that are missing if the operator finds points to
-click, and a few that looking in vain is worth if not. The chance that clicking succeeds is halved
-by every failed try and by every correspondence beyond those that should have sufficed; where an
-operator looked and clicked nothing there is next to none.
+whose links contradict each other, or are too likely gravely off. Clicks are those that are missing
+if the operator finds points to click, and a few that looking in vain is worth if not. The chance
+that clicking succeeds is halved by every failed try and by every correspondence beyond those that
+should have sufficed; where an operator looked and clicked nothing there is next to none.
 """
 
 from collections import Counter
@@ -99,6 +99,7 @@ def rank_questions(
     anchor: str | None = None,
     limit: int = 20,
     located_sigma: float = 0.05,
+    located_grave: float = 0.05,
 ) -> list[Question]:
     """Questions, best first: likely bridges, then pairs that would join components, then those
     about robots that are joined but too unsure to be located, then the rest.
@@ -112,11 +113,12 @@ def rank_questions(
         limit: how many to return.
         located_sigma: from which sigma on a robot does not count as located, share of
             `unknown_sigma_m`.
+        located_grave: from which probability of being gravely off on it does not either.
     """
     known = {robot: view for robot, view in newest.items() if view in solution.nodes}
     if not known:
         return []
-    fleet = _Fleet.of(solution, known, anchor, unknown_sigma_m, located_sigma)
+    fleet = _Fleet.of(solution, known, anchor, unknown_sigma_m, located_sigma, located_grave)
     bridges = {
         frozenset((edge.a.robot, edge.b.robot)): edge
         for bridge in reversed(solution.bridges)
@@ -186,6 +188,7 @@ class _Fleet:
     home: ViewName
     unknown_sigma_m: float
     located_sigma_m: float
+    grave: dict[str, float]
 
     @classmethod
     def of(
@@ -195,14 +198,21 @@ class _Fleet:
         anchor: str | None,
         unknown_sigma_m: float,
         located_sigma: float = 0.0,
+        located_grave: float = 1.0,
     ) -> "_Fleet":
         root = {robot: solution.nodes[view].root for robot, view in newest.items()}
         largest = Counter(root.values()).most_common(1)[0][0]
         sigma = {robot: _sigma(solution, view, unknown_sigma_m) for robot, view in newest.items()}
+        grave = {
+            robot: p_grave
+            for robot, view in newest.items()
+            if (p_grave := solution.nodes[view].p_grave) > located_grave
+        }
+        sigma |= dict.fromkeys(grave, unknown_sigma_m)
         behind = _behind(solution, newest)
         home = root.get(anchor or "", largest)
         limit_m = located_sigma * unknown_sigma_m
-        return cls(root, sigma, behind, home, unknown_sigma_m, limit_m)
+        return cls(root, sigma, behind, home, unknown_sigma_m, limit_m, grave)
 
     def ask(self, facts: PairFacts, bridge: Edge | None) -> _Ask:
         about = frozenset((self.root[facts.i], self.root[facts.j]))
@@ -248,6 +258,11 @@ class _Fleet:
             f"{worse} is known to {before:.2g} m, {better} to {known:.2g} m: "
             f"points in both would place {worse} better."
         )
+        if worse in self.grave:
+            reason = (
+                f"{worse} hangs by doubtful links, gravely wrong with a probability of "
+                f"{self.grave[worse]:.0%}: points in both would make sure. {facts.why}"
+            )
         kind = _LOCATE if unsure else _SHARPEN
         worth = self._gain(chance, CLICKS_TO_JOIN, urgent)[1]
         return _Ask(kind, facts, chance, gain, about, reason + _history(facts), worth)

@@ -19,6 +19,7 @@ from pose_server.fleet.types import (
     NodePose,
     Told,
 )
+from pose_server.fleet.witnesses import along_surest_ways
 from pose_server.geometry.noise import chi2_limit
 from pose_server.geometry.se3 import inverse, transform
 from protocol.messages import ViewName
@@ -66,6 +67,7 @@ def _nodes(
 ) -> dict[ViewName, NodePose]:
     poses: dict[ViewName, NodePose] = {}
     ranks: dict[int, int] = {}
+    grave = _grave(layout, found)
     for tree in layout.trees:
         for r in tree:
             node, link = state.nodes[r.node], r.link
@@ -86,8 +88,18 @@ def _nodes(
                 None if link is None else state.nodes[link.a],
                 covariance,
                 why,
+                grave[r.node],
             )
     return poses
+
+
+def _grave(layout: Layout, found: Found) -> dict[int, float]:
+    """Per node the probability that its pose is gravely off beside the root's: links that are used
+    and those that join are the ways there.
+    """
+    used = [link for link, out in zip(found.links, found.fit.out, strict=True) if not out]
+    joining = [r.link for tree in layout.trees for r in tree if r.link is not None]
+    return along_surest_ways([tree[0].node for tree in layout.trees], [*used, *joining])
 
 
 def _components(state: FleetInput, layout: Layout) -> dict[ViewName, tuple[ViewName, ...]]:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.geometry.se3 import inverse
+from pose_server.geometry.structure import Structure
 from protocol.messages import Verdict, ViewName
 
 Floats = npt.NDArray[np.floating]
@@ -18,6 +19,20 @@ EdgeKind = Literal["odometry", "pair"]
 EdgeKey = tuple[ViewName, ViewName, EdgeKind]
 Told = tuple[int, Any]
 """Fingerprint of the points clicked in two keyframes, and what they said: a `ClickSummary`."""
+
+GRAVE_BY_VERDICT: dict[Verdict, float] = {
+    "verified": 0.001,  # none in some thousand verified pairs of the recordings at hand
+    "plausible": 0.5,  # in places that repeat themselves most of them are aliases
+    "ambiguous": 0.5,
+    "rejected": 1.0,
+}
+"""Probability that an edge is gravely off, where nobody says how likely that is."""
+GRAVE_ODOMETRY = 0.005
+"""The same of a robot's own motion: it begins where the robot was, and finds no alias elsewhere."""
+
+
+JOINS_BELOW = 0.5
+"""Clicks that are more likely wrong than right join nothing, nor do those that nobody has heard."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +47,9 @@ class Edge:
         kind: `odometry` between views of one robot, `pair` between robots.
         operator: three or more of the operator's correspondences agree with it.
         grown: from them, so that they are in it.
-        p_grave: probability that the alignment is gravely off; 1 where that is not known.
+        p_grave: probability that it is gravely off; by default what its verdict stands for.
+        structure: what of the world it rests on, in the frame of view a; None where that is not
+            known: such an edge is nobody's independent witness.
     """
 
     a: ViewName
@@ -43,7 +60,14 @@ class Edge:
     kind: EdgeKind = "pair"
     operator: bool = False
     grown: bool = False
-    p_grave: float = 1.0
+    p_grave: float = -1.0
+    structure: Structure | None = None
+
+    def __post_init__(self) -> None:
+        if self.p_grave < 0.0:
+            known = GRAVE_BY_VERDICT[self.verdict]
+            p_grave = min(known, GRAVE_ODOMETRY) if self.kind == "odometry" else known
+            object.__setattr__(self, "p_grave", p_grave)
 
     @property
     def key(self) -> EdgeKey:
@@ -58,6 +82,8 @@ class ClickFactor:
         p_a, p_b: (3,) the point in the camera frame of each view.
         C_a, C_b: (3, 3) its covariances there, long along the ray.
         id: of the correspondence.
+        p_grave: probability that what it says, with the others that it was heard with, is gravely
+            off, by what the images said. From `JOINS_BELOW` on it joins no components.
     """
 
     a: ViewName
@@ -67,6 +93,12 @@ class ClickFactor:
     C_a: Floats
     C_b: Floats
     id: int
+    p_grave: float = 0.006
+
+    @property
+    def joins(self) -> bool:
+        """Whether it may join components, with others."""
+        return self.p_grave < JOINS_BELOW
 
 
 @dataclass(frozen=True)
@@ -80,6 +112,8 @@ class SolveSettings:
             agree.
         distinct_m: two edges are different evidence only if a camera of one stands this far from
             the other's, or is another robot's: a robot that stands still repeats its mistakes.
+        most_grave: probability of being gravely off up to which plausible edges that are
+            independent witnesses join components together.
         inlier_probability: share of right edges that pass the test against outliers.
         click_robust_sigmas: from where on a click counts less.
         shared_share: of an edge's variance that it has in common with each other edge of its views;
@@ -98,6 +132,7 @@ class SolveSettings:
     agree_rotation_rad: float = 0.08
     agree_translation_m: float = 0.1
     distinct_m: float = 0.1
+    most_grave: float = 0.02
     inlier_probability: float = 0.999
     click_robust_sigmas: float = 4.0
     outvoted_limit: int = 8
@@ -126,6 +161,8 @@ class NodePose:
         verdict: of the weakest link on the strongest path to the root; `ambiguous` where a link is
             contradicted by another one and nothing tells which of them is wrong.
         parent: the next view on that path, None for the root.
+        p_grave: probability that the pose is gravely off beside the root's: that any edge of the
+            surest way to the root is.
         covariance: (6, 6) of T_root_camera; None where it was not asked for or could not be had.
         why_no_covariance: the reason, empty if there is one.
     """
@@ -136,6 +173,7 @@ class NodePose:
     parent: ViewName | None
     covariance: Floats | None = None
     why_no_covariance: str = "not asked for"
+    p_grave: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,8 @@ OUTLIER_CHI2 = 16.3  # 3 dof, 99.9 %
 _CONTRADICTION = 1e-4  # share of right sets that are more at odds with themselves
 _ALL_SETS_UP_TO = 130  # explanations; beyond, they grow from drawn triples
 _DRAWN_TRIPLES = 40  # a fifth of them wrong: half of all triples are right
+_ALL_TRIPLES_UP_TO = 84  # of nine: six wrong ones and three right ones are told apart
+_MAY_BE_RIGHT = 2  # left out: with one more by chance among the others they may be right instead
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +66,92 @@ def consensus(pairs: PointPairs, price: float = OUTLIER_CHI2) -> Consensus:
     if contradiction or not right.all():
         _refuse_mirror_image(pairs)
     return Consensus(T, covariance, right, distance2, contradiction)
+
+
+def consistent_sets(pairs: PointPairs) -> list[Consensus]:
+    """Every way to believe some of the correspondences: the explanation of `consensus`, and where
+    that leaves so many out that these may be right instead, or contradicts itself, the other sets
+    of three or more that agree with each other. The largest comes first, then what adds most.
+
+    Three wrong ones that fit each other are outvoted by no majority of three right ones: what else
+    is known must decide.
+
+    Raises:
+        DegenerateGeometryError: there is none; see `consensus`.
+    """
+    why: DegenerateGeometryError | None = None
+    try:
+        first = consensus(pairs)
+        if not first.contradiction and (~first.inliers).sum() < _MAY_BE_RIGHT:
+            return [first]
+        found = [] if first.contradiction else [first]
+    except DegenerateGeometryError as error:
+        first, found, why = None, [], error
+    alike = _as_far_apart(pairs)
+    for triple in _triples(len(pairs)):
+        known = any(one.inliers[triple].all() for one in found)
+        if known or not alike[np.ix_(triple, triple)].all():
+            continue
+        inliers = _grown(pairs, triple)
+        if inliers is None or any((inliers <= one.inliers).all() for one in found):
+            continue
+        one = _believing(pairs, inliers)
+        if one is not None:
+            found = [other for other in found if not (other.inliers <= inliers).all()]
+            found.append(one)
+    if not found:
+        if first is None:
+            assert why is not None
+            raise why
+        return [first]
+    return _in_order_of_what_they_add(found)
+
+
+def _in_order_of_what_they_add(sets: list[Consensus]) -> list[Consensus]:
+    """First the largest, then the one with most that is in none before it."""
+    left, ordered, covered = list(sets), [], np.zeros(len(sets[0].inliers), bool)
+    while left:
+        one = max(left, key=lambda s: (int((s.inliers & ~covered).sum()), int(s.inliers.sum())))
+        left.remove(one)
+        ordered.append(one)
+        covered |= one.inliers
+    return ordered
+
+
+def _as_far_apart(pairs: PointPairs) -> Bools:
+    """(N, N) whether two points are as far from each other in one frame as in the other, within
+    their noise along the line between them: no pose suits two that are not.
+    """
+    lengths, variances = [], []
+    for p, C in ((pairs.p_a, pairs.C_a), (pairs.p_b, pairs.C_b)):
+        between = p[:, None] - p[None]
+        length = np.linalg.norm(between, axis=2)
+        along = between / np.maximum(length, 1e-12)[:, :, None]
+        noise = np.einsum("kmi,kmij,kmj->km", along, C[:, None] + C[None], along)
+        lengths.append(length)
+        variances.append(noise)
+    return (lengths[0] - lengths[1]) ** 2 <= OUTLIER_CHI2 * (variances[0] + variances[1]) + 1e-12
+
+
+def _believing(pairs: PointPairs, inliers: Bools) -> Consensus | None:
+    """The pose of those that agree with each other; none where they do not after all."""
+    try:
+        T, covariance = pose_of(pairs[inliers])
+    except DegenerateGeometryError:
+        return None
+    distance2 = np.where(inliers, pairs.distance2(T), pairs.distance2(T, covariance))
+    if _contradiction(distance2[inliers]):
+        return None
+    return Consensus(T, covariance, inliers, distance2)
+
+
+def _triples(n: int) -> Iterator[npt.NDArray[np.int64]]:
+    """All, or as many as are drawn by chance, but the same every time."""
+    if comb(n, 3) <= _ALL_TRIPLES_UP_TO:
+        yield from (np.array(chosen) for chosen in combinations(range(n), 3))
+        return
+    rng = np.random.default_rng(0)
+    yield from (rng.choice(n, 3, replace=False) for _ in range(_ALL_TRIPLES_UP_TO))
 
 
 def pose_of(pairs: PointPairs) -> tuple[Floats, Floats]:

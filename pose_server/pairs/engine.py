@@ -10,10 +10,11 @@ import numpy as np
 
 from pose_server.geometry.motion import Mask
 from pose_server.pairs.align import align_from, align_pair, align_wide, is_settled
+from pose_server.pairs.clicked import with_clicks
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.moving import without_moving
 from pose_server.pairs.refining import Start
-from pose_server.pairs.starts import Clicks, operator_start, with_operator_fallback
+from pose_server.pairs.starts import Clicks, operator_starts
 from pose_server.pairs.views import PreparedView, prepare_view
 from protocol.arrays import MAX_DISTANCE_M
 from protocol.codec import unpack
@@ -120,18 +121,17 @@ def run_job(job: Job) -> PairResult:
     if job.purpose == "track":
         i, j = i.strongest(TRACK_POINTS), j.strongest(TRACK_POINTS)
     starts = list(job.starts)
-    operator = None
-    if job.clicks is not None:
-        operator = operator_start(i, j, job.clicks, job.starts)
-        if operator is not None:
-            starts.append(operator.start)
+    sets = [] if job.clicks is None else operator_starts(i, j, job.clicks, job.starts)
+    starts += [one.start for one in sets]
     if job.known is not None:
         result = align_from(i, j, starts, job.known)
     else:
         result = job.usual or align_pair(i, j, starts, job.features)
         if job.features and job.wide and not is_settled(result):
             result = align_wide(*_both_wide(job), result, starts)
-    return _finite(with_operator_fallback(result, operator, i, j))
+    if job.clicks is not None:
+        result = with_clicks(result, sets, job.clicks, i, j)
+    return _finite(result)
 
 
 def _both_wide(job: Job) -> tuple[PreparedView, PreparedView]:

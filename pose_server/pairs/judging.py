@@ -13,8 +13,10 @@ from pose_server.geometry.evidence import Agreement
 from pose_server.geometry.motion import Mask
 from pose_server.geometry.refine import NoiseScale, Refinement
 from pose_server.geometry.se3 import inverse, position_covariance, rotation_angle, transform
+from pose_server.geometry.structure import Structure
 from pose_server.pairs.evidence import NO_RIVAL, Evidence
 from pose_server.pairs.explained import explained
+from pose_server.pairs.hearing import Hearing
 from pose_server.pairs.pair import Pair
 from pose_server.pairs.rivals import EXACT_SIGMAS, exact_matches, rivals_of
 from pose_server.pairs.trust import RIVAL_P_GRAVE, p_grave, stands, with_rivals
@@ -42,6 +44,8 @@ class PairResult:
     agree with each other agree with this one; `grown` from them: they are in it. `p_grave` is the
     probability that the pose is gravely off, 1 where there is none; `rivals` are other (4, 4) poses
     that the images support as well. `mirrored`: the views fit only if one of them is mirrored.
+    `structure` is what of the world its matches rest on, in the frame of view i; `hearing` what
+    became of the clicks it was made with.
     """
 
     T_i_j: Floats | None
@@ -65,6 +69,8 @@ class PairResult:
     p_grave: float = 1.0
     rivals: tuple[Floats, ...] = ()
     mirrored: bool = False
+    structure: Structure | None = None
+    hearing: Hearing | None = None
 
 
 def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None) -> PairResult:
@@ -114,6 +120,7 @@ def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None
         start=start,
         evidence=evidence,
         p_grave=chance,
+        structure=Structure.of(pair.i.observed.points[matches[final.inliers, 0]]),
     )
 
 

@@ -1,15 +1,14 @@
 """The operator's start: a pose from the correspondences alone, with its uncertainty."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from pose_server.geometry import dlt
-from pose_server.geometry.consensus import OUTLIER_CHI2, consensus
+from pose_server.geometry.consensus import OUTLIER_CHI2, Consensus, consistent_sets
 from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.evidence import agreement
 from pose_server.geometry.gravity import Gravity, pose_by_gravity
 from pose_server.geometry.lift import CLICK_SIGMA_PX
 from pose_server.geometry.noise import covariances
@@ -18,21 +17,20 @@ from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.refine import NoiseScale, Refinement, refine
 from pose_server.geometry.se3 import position_covariance
 from pose_server.geometry.spread import check_points, dimension
-from pose_server.pairs.judging import PairResult
 from pose_server.pairs.refining import Start
 from pose_server.pairs.views import PreparedView
 
 Floats = npt.NDArray[np.floating]
 
-_FULL_POSE = 3  # correspondences that determine a pose
-_MAX_SEEN_THROUGH = 0.25
+FULL_POSE = 3  # correspondences that determine a pose
+_MOST_STARTS = 5  # each costs a refinement, and somebody waits
 _TRANSLATION_SIGMA = 0.03  # of a start whose rotation comes from elsewhere, at least
 
 
 @dataclass(frozen=True)
 class Clicks:
     """Correspondences between two views: (N, 2) pixels, (N,) depths along the optical axis and
-    their sigmas, metres.
+    their sigmas, metres; and where they are the book's, their ids and revisions.
     """
 
     uv_i: Floats
@@ -41,6 +39,7 @@ class Clicks:
     z_j: Floats
     sigma_i: Floats
     sigma_j: Floats
+    ids: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,28 +69,29 @@ class OperatorStart:
         return bool((self.pairs[self.inliers].distance2(T_i_j) < OUTLIER_CHI2).all())
 
 
-def operator_start(
+def operator_starts(
     i: PreparedView,
     j: PreparedView,
     clicks: Clicks,
     others: Sequence[Start],
     gravity: Gravity | None = None,
-) -> OperatorStart | None:
-    """`start_from_clicks`, or None where the clicks determine none."""
+) -> list[OperatorStart]:
+    """`starts_from_clicks`, none where the clicks determine none."""
     try:
-        return start_from_clicks(i, j, clicks, others, gravity)
+        return starts_from_clicks(i, j, clicks, others, gravity)
     except DegenerateGeometryError:
-        return None
+        return []
 
 
-def start_from_clicks(
+def starts_from_clicks(
     i: PreparedView,
     j: PreparedView,
     clicks: Clicks,
     others: Sequence[Start],
     gravity: Gravity | None = None,
-) -> OperatorStart:
-    """The pose on which most clicks agree, refined anisotropically.
+) -> list[OperatorStart]:
+    """The poses on which clicks agree, refined anisotropically: one where most of them agree, else
+    one for every set of them that does, the largest first.
 
     Three clicks that span a triangle give a full pose; so do two if gravity is known in both views.
     Fewer, or clicks on one line, give a translation only: the rotation comes from the best other
@@ -104,9 +104,15 @@ def start_from_clicks(
     pairs = point_pairs(i, j, clicks)
     check_points(pairs.p_a, pairs.p_b)
     try:
-        agreed = consensus(pairs)
+        agreed = consistent_sets(pairs)
     except DegenerateGeometryError as error:
-        return _smaller_start(i, j, pairs, others, gravity, error)
+        return [_smaller_start(i, j, pairs, others, gravity, error)]
+    return [_full_start(i, j, clicks, pairs, one) for one in agreed[:_MOST_STARTS]]
+
+
+def _full_start(
+    i: PreparedView, j: PreparedView, clicks: Clicks, pairs: PointPairs, agreed: Consensus
+) -> OperatorStart:
     index = np.nonzero(agreed.inliers)[0]
     refined = refine(
         _observed(i, clicks.uv_i, clicks.z_i, clicks.sigma_i),
@@ -136,7 +142,7 @@ def _smaller_start(
     why: DegenerateGeometryError,
 ) -> OperatorStart:
     """What clicks give that do not span a triangle."""
-    if max(dimension(pairs.p_a), dimension(pairs.p_b)) >= 2 and len(pairs) >= _FULL_POSE:
+    if max(dimension(pairs.p_a), dimension(pairs.p_b)) >= 2 and len(pairs) >= FULL_POSE:
         raise why
     everyone = np.ones(len(pairs), bool)
     if gravity is not None and len(pairs) >= 2:
@@ -149,45 +155,6 @@ def _smaller_start(
     T = dlt.translation(pairs.p_a, pairs.p_b, known.T_i_j[:3, :3])
     start = Start("operator", T, max(known.sigma, _TRANSLATION_SIGMA))
     return OperatorStart(start, None, everyone, "translation", pairs, str(why))
-
-
-def with_operator_fallback(
-    result: PairResult, operator: OperatorStart | None, i: PreparedView, j: PreparedView
-) -> PairResult:
-    """Where features cannot confirm a pose that the clicks determine, the clicks make it plausible.
-
-    Of two poses the sharper is taken: what features made of it, if all clicks agree with that, else
-    the clicks' own. Either is as sure as the clicks are, and none is taken that the world
-    contradicts: the moved cloud is seen through. A pose that is no more than plausible yields to
-    clicks that contradict it and agree with each other.
-    """
-    if operator is None or operator.covariance is None or not operator.alone:
-        return result
-    suits = result.T_i_j is not None and operator.suits(result.T_i_j)
-    if result.verdict == "verified" or (result.verdict == "plausible" and suits):
-        return replace(result, confirmed=suits, grown=result.start == "operator")
-    count = int(operator.inliers.sum())
-    poses = [(operator.start.T_i_j, "operator", f"by {count} correspondences alone")]
-    if result.T_i_j is not None and suits:
-        poses.insert(0, (result.T_i_j, result.start, f"{count} correspondences agree with it"))
-    through = 0.0
-    for T, start, reason in poses:
-        seen = agreement(i.surface, j.surface, T)
-        through = seen.through
-        if through <= _MAX_SEEN_THROUGH:
-            return replace(
-                result,
-                T_i_j=T,
-                covariance=operator.covariance,
-                verdict="plausible",
-                reasons=(reason, *result.reasons),
-                overlap=seen.overlap,
-                start=start,
-                confirmed=True,
-                grown=True,
-            )
-    reason = f"{through:.0%} of the cloud moved by the correspondences is seen through"
-    return replace(result, reasons=(*result.reasons, reason))
 
 
 def point_pairs(i: PreparedView, j: PreparedView, clicks: Clicks) -> PointPairs:

@@ -71,6 +71,7 @@ class PreparedView:
         measured: its cloud as points.
         noise: the camera's stated noise.
         median_depth_m: of the cloud.
+        up: (3,) unit vector against gravity in the camera frame, where the robot knows it.
     """
 
     name: ViewName
@@ -80,6 +81,7 @@ class PreparedView:
     measured: MeasuredCloud
     noise: PointNoise
     median_depth_m: float
+    up: Floats | None = None
 
     def strongest(self, count: int) -> "PreparedView":
         """The same view with its strongest salient points only: enough where two views are nearly
@@ -162,6 +164,7 @@ def prepare_view(view: View) -> PreparedView:
         measured=MeasuredCloud(points.xyz, max(lateral, 1e-3 * median)),
         noise=noise,
         median_depth_m=median,
+        up=view.up_camera,
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.fleet.types import Edge, EdgeKey
+from pose_server.geometry.structure import Structure
 from protocol.errors import FleetPoseError
 from protocol.messages import ViewName
 
@@ -27,13 +28,14 @@ _TABLES = (
         robot TEXT NOT NULL, epoch TEXT NOT NULL, seq INTEGER NOT NULL, view BLOB NOT NULL,
         PRIMARY KEY (robot, epoch, seq)
     ) STRICT""",
-    # T_a_b as 16 and its covariance as 36 little-endian float64
+    # little-endian float64: T_a_b as 16 and its covariance as 36, the structure's centre and spread
+    # as 12
     """CREATE TABLE edges (
         robot_a TEXT NOT NULL, epoch_a TEXT NOT NULL, seq_a INTEGER NOT NULL,
         robot_b TEXT NOT NULL, epoch_b TEXT NOT NULL, seq_b INTEGER NOT NULL,
         kind TEXT NOT NULL, verdict TEXT NOT NULL, operator INTEGER NOT NULL,
         grown INTEGER NOT NULL, T_a_b BLOB NOT NULL, covariance BLOB NOT NULL,
-        p_grave REAL NOT NULL DEFAULT 1.0,
+        p_grave REAL NOT NULL, structure BLOB,
         PRIMARY KEY (robot_a, epoch_a, seq_a, robot_b, epoch_b, seq_b, kind)
     ) STRICT""",
     """CREATE TABLE gauge (
@@ -110,7 +112,7 @@ class GraphStore:
                     lost,
                 )
                 self._db.executemany(
-                    f"INSERT OR REPLACE INTO edges VALUES ({', '.join('?' * 13)})", put
+                    f"INSERT OR REPLACE INTO edges VALUES ({', '.join('?' * 14)})", put
                 )
                 if after.gauge != before.gauge:
                     self._db.execute("DELETE FROM gauge")
@@ -139,13 +141,18 @@ class GraphStore:
                 for table in _TABLES:
                     self._db.execute(table)
                 self._db.execute(f"PRAGMA user_version = {_SCHEMA}")
-        elif version == 1:  # edges without p_grave
-            with self._db:
-                self._db.execute("BEGIN IMMEDIATE")
-                self._db.execute("ALTER TABLE edges ADD COLUMN p_grave REAL NOT NULL DEFAULT 1.0")
-                self._db.execute(f"PRAGMA user_version = {_SCHEMA}")
+        elif version == 1:
+            self._from_first_schema()
         elif version != _SCHEMA:
             raise GraphStoreError(f"{self.path} has schema {version}, need {_SCHEMA}")
+
+    def _from_first_schema(self) -> None:
+        """Edges of which nothing is known but their verdict are worth what it stands for (-1)."""
+        with self._db:
+            self._db.execute("BEGIN IMMEDIATE")
+            self._db.execute("ALTER TABLE edges ADD COLUMN p_grave REAL NOT NULL DEFAULT -1")
+            self._db.execute("ALTER TABLE edges ADD COLUMN structure BLOB")
+            self._db.execute(f"PRAGMA user_version = {_SCHEMA}")
 
 
 def read_graph(path: Path) -> Graph:
@@ -195,11 +202,20 @@ def _edge_key(key: EdgeKey) -> tuple[Any, ...]:
 def _edge_row(edge: Edge) -> tuple[Any, ...]:
     arrays = (np.ascontiguousarray(a, "<f8").tobytes() for a in (edge.T_a_b, edge.covariance))
     flags = int(edge.operator), int(edge.grown)
-    return (*_edge_key(edge.key), edge.verdict, *flags, *arrays, edge.p_grave)
+    rests = None
+    if edge.structure is not None:
+        parts = np.vstack((edge.structure.centre, edge.structure.spread))
+        rests = np.ascontiguousarray(parts, "<f8").tobytes()
+    return (*_edge_key(edge.key), edge.verdict, *flags, *arrays, edge.p_grave, rests)
 
 
 def _edge(row: tuple[Any, ...]) -> Edge:
     T, C = (np.frombuffer(blob, "<f8") for blob in row[10:12])
+    p_grave, rests = list(row[12:]) or (-1.0, None)  # the first schema did not know them
+    structure = None
+    if rests is not None:
+        parts = np.frombuffer(rests, "<f8").reshape(4, 3)
+        structure = Structure(parts[0], parts[1:])
     return Edge(
         _view(row[0:3]),
         _view(row[3:6]),
@@ -209,5 +225,6 @@ def _edge(row: tuple[Any, ...]) -> Edge:
         row[6],
         bool(row[8]),
         bool(row[9]),
-        *row[12:],  # a file of the first schema, read beside its server, has no p_grave
+        p_grave,
+        structure,
     )

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from pose_server.fleet.types import ClickFactor, Edge, EdgeKind
 from pose_server.geometry.noise import covariances
 from pose_server.geometry.se3 import exp_so3, inverse, log_so3, make_pose, transform
+from pose_server.geometry.structure import Structure
 from protocol.messages import Verdict, ViewName
 
 Floats = npt.NDArray[np.floating]
@@ -61,13 +62,33 @@ def edge(
     operator: bool = False,
     grown: bool = False,
     offset: Floats | None = None,
+    p_grave: float = -1.0,
+    rests_on: Floats | None = None,
 ) -> Edge:
-    """A measured edge; `offset` (6,) makes it wrong."""
+    """A measured edge; `offset` (6,) makes it wrong. It rests on world points (N, 3)."""
     xi = np.zeros(6) if rng is None else rng.normal(size=6) * sigmas
     T = exp_se3(xi) @ inverse(truth[a]) @ truth[b]
     if offset is not None:
         T = T @ exp_se3(offset)
-    return Edge(nodes[a], nodes[b], T, np.diag(sigmas**2), verdict, kind, operator, grown)
+    rests = None if rests_on is None else Structure.of(transform(inverse(truth[a]), rests_on))
+    return Edge(
+        nodes[a],
+        nodes[b],
+        T,
+        np.diag(sigmas**2),
+        verdict,
+        kind,
+        operator,
+        grown,
+        p_grave,
+        rests,
+    )
+
+
+def thing(x: float, y: float = 0.0, z: float = 0.0, size: float = 0.1) -> Floats:
+    """Corners (8, 3) of a box in the world, something that matches rest on."""
+    corners = np.array(np.meshgrid((-1, 1), (-1, 1), (-1, 1)), float).reshape(3, 8).T
+    return np.array((x, y, z)) + size * corners
 
 
 def click(

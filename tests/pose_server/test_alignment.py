@@ -8,14 +8,16 @@ import pytest
 from pose_server.geometry.evidence import agreement
 from pose_server.geometry.se3 import inverse, rotation_angle
 from pose_server.pairs.align import align_pair
+from pose_server.pairs.clicked import with_clicks
 from pose_server.pairs.evidence import NO_RIVAL, Evidence
 from pose_server.pairs.explained import Explained
 from pose_server.pairs.refining import Start
-from pose_server.pairs.starts import Clicks, operator_start, with_operator_fallback
+from pose_server.pairs.starts import Clicks, operator_starts
 from pose_server.pairs.trust import p_grave
 from pose_server.pairs.trust_model import MODEL
 from pose_server.pairs.verdict import judge
 from pose_server.pairs.views import prepare_view
+from pose_server.settings import ServerSettings
 from protocol.clouds import decode_salient, encode_salient
 from tests.pose_server.scene import descriptors, pair_of_views, turned, view, walls
 
@@ -171,8 +173,8 @@ def test_three_clicks_give_a_start_that_alignment_confirms():
     T_true = turned(30)
     i, j = (prepare_view(v) for v in pair_of_views(np.random.default_rng(3), T_true))
     clicks = clicks_of(T_true, FAR_APART, i.observed.K, 0.1)
-    start = operator_start(i, j, clicks, ())
-    assert start is not None and start.model == "rigid"
+    (start,) = operator_starts(i, j, clicks, ())
+    assert start.model == "rigid"
     assert np.allclose(start.start.T_i_j, T_true, atol=1e-3)
     found = align_pair(i, j, [start.start], features=False)
     assert (found.verdict, found.start) == ("verified", "operator")
@@ -181,22 +183,26 @@ def test_three_clicks_give_a_start_that_alignment_confirms():
 def test_one_click_needs_a_rotation_from_elsewhere():
     i, j = (prepare_view(v) for v in pair_of_views(np.random.default_rng(4), turned(10)))
     clicks = clicks_of(turned(10), FAR_APART[:1], i.observed.K, 0.1)
-    assert operator_start(i, j, clicks, ()) is None
+    assert operator_starts(i, j, clicks, ()) == []
     known = Start("graph", turned(10), 0.02)
-    start = operator_start(i, j, clicks, (known,))
-    assert start is not None and start.model == "translation" and start.covariance is None
+    (start,) = operator_starts(i, j, clicks, (known,))
+    assert start.model == "translation" and start.covariance is None
 
 
 def test_clicks_alone_are_plausible_where_features_say_nothing_but_never_verified():
+    """Two views with few salient points, which look like nothing in the other one."""
     rng = np.random.default_rng(5)
-    points = walls(rng)
-    i = prepare_view(view(rng, "r1", points, descriptors(rng, 800), np.eye(4)))
-    j = prepare_view(view(rng, "r2", points, descriptors(rng, 800), inverse(turned(10))))
-    start = operator_start(i, j, clicks_of(turned(10), FAR_APART, i.observed.K, 0.1), ())
-    assert start is not None
-    found = with_operator_fallback(align_pair(i, j, [start.start], False), start, i, j)
+    points = walls(rng, 70)
+    i = prepare_view(view(rng, "r1", points, descriptors(rng, 70), np.eye(4)))
+    j = prepare_view(view(rng, "r2", points, descriptors(rng, 70), inverse(turned(10))))
+    clicks = clicks_of(turned(10), FAR_APART, i.observed.K, 0.1)
+    sets = operator_starts(i, j, clicks, ())
+    found = with_clicks(align_pair(i, j, [sets[0].start], False), sets, clicks, i, j)
     assert found.verdict == "plausible"
     assert found.start == "operator"
+    assert found.hearing is not None and "neither confirm nor contradict" in found.hearing.told
+    limit = ServerSettings.model_validate({}).located_grave
+    assert found.p_grave > limit  # nobody is located by it
 
 
 def test_depths_that_are_all_too_long_do_not_bend_a_pose_that_the_images_know():

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pose_server.geometry.consensus import OUTLIER_CHI2, consensus
+from pose_server.geometry.consensus import OUTLIER_CHI2, consensus, consistent_sets
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.se3 import inverse, log_so3, transform
@@ -86,6 +86,43 @@ def test_the_size_of_the_scene_does_not_matter(rng, size):
     one, other = consensus(pairs), consensus(scaled)
     assert (one.inliers == other.inliers).all()
     assert np.allclose(one.distance2, other.distance2, rtol=1e-3, atol=1e-3)
+
+
+def both(one: PointPairs, other: PointPairs) -> PointPairs:
+    names = ("p_a", "p_b", "C_a", "C_b")
+    return PointPairs(*(np.concatenate((getattr(one, n), getattr(other, n))) for n in names))
+
+
+@pytest.mark.parametrize(("wrong", "right"), [(3, 3), (6, 3), (4, 4), (3, 4), (10, 5)])
+def test_right_ones_are_among_the_sets_that_agree_however_many_wrong_ones_fit_each_other(
+    wrong, right
+):
+    rng = np.random.default_rng(9)
+    for _ in range(5):
+        T, step = round_the_scene(rng), slip(rng)
+        astray = seen_by_two(rng, T, wrong)
+        astray = PointPairs(astray.p_a, astray.p_b + step, astray.C_a, astray.C_b)
+        sets = consistent_sets(both(astray, seen_by_two(rng, T, right)))
+        expected = np.arange(wrong + right) >= wrong
+        among = [k for k, one in enumerate(sets) if (one.inliers == expected).all()]
+        assert among and among[0] < 3
+        assert all(not one.contradiction and one.inliers.sum() >= 3 for one in sets)
+
+
+def test_where_all_or_all_but_one_agree_there_is_one_set():
+    rng = np.random.default_rng(10)
+    pairs = seen_by_two(rng, round_the_scene(rng), 6)
+    (found,) = consistent_sets(pairs)
+    assert (found.inliers == consensus(pairs).inliers).all()
+    (found,) = consistent_sets(with_a_slip(pairs, 2, slip(rng)))
+    assert found.inliers.sum() >= 5
+
+
+def test_sets_of_what_determines_nothing_are_refused_as_the_whole_is():
+    pairs = seen_by_two(np.random.default_rng(8), np.eye(4), 12)
+    p = np.outer(np.linspace(1, 2, 12), [1.0, 1.0, 5.0])
+    with pytest.raises(DegenerateGeometryError, match="one line"):
+        consistent_sets(PointPairs(p, p, pairs.C_a, pairs.C_b))
 
 
 def test_a_pose_found_elsewhere_judges_more_sharply_than_clicks_among_themselves():

@@ -8,11 +8,21 @@ import pytest
 from pose_server.fleet.graph import solve_fleet
 from pose_server.fleet.types import SolveSettings
 from pose_server.geometry.se3 import inverse
-from tests.pose_server.fleet_makers import click, edge, exp_se3, position_errors, ring, view
+from tests.pose_server.fleet_makers import (
+    click,
+    edge,
+    exp_se3,
+    position_errors,
+    ring,
+    thing,
+    view,
+)
 
 NODES = [view(f"r{k}") for k in range(8)]
 TRUTH = ring(8)
 WRONG = np.array([0.1, -0.4, 0.2, 0.8, 0.3, -0.6])
+LEFT, MIDDLE, RIGHT = (thing(x) for x in (-0.8, 0.0, 0.8))
+LIKELY = {"verdict": "plausible", "p_grave": 0.05}  # of an edge that is doubtful, not more
 
 
 def solve(edges, **options):
@@ -144,8 +154,8 @@ def plausible_pair(offset):
     return [
         edge(NODES, TRUTH, 0, 1, rng),
         edge(NODES, TRUTH, 2, 3, rng),
-        edge(NODES, TRUTH, 1, 2, rng, verdict="plausible"),
-        edge(NODES, TRUTH, 0, 3, rng, verdict="plausible", offset=offset),
+        edge(NODES, TRUTH, 1, 2, rng, **LIKELY, rests_on=LEFT),
+        edge(NODES, TRUTH, 0, 3, rng, **LIKELY, rests_on=RIGHT, offset=offset),
     ]
 
 
@@ -173,8 +183,8 @@ def test_two_plausible_edges_of_robots_that_stood_still_are_one_piece_of_evidenc
         edges = [
             edge(nodes, truth, 0, 1, None, kind="odometry"),
             edge(nodes, truth, 2, 3, None, kind="odometry"),
-            edge(nodes, truth, 0, 2, None, verdict="plausible"),
-            edge(nodes, truth, 1, 3, None, verdict="plausible"),
+            edge(nodes, truth, 0, 2, None, **LIKELY, rests_on=LEFT),
+            edge(nodes, truth, 1, 3, None, **LIKELY, rests_on=RIGHT),
         ]
         return solve_fleet(nodes, edges).joined(nodes[0], nodes[2])
 
@@ -185,9 +195,9 @@ def test_two_plausible_edges_of_robots_that_stood_still_are_one_piece_of_evidenc
 def test_triangle_of_plausible_edges_joins_only_if_it_closes():
     def joined(offset):
         edges = [
-            edge(NODES, TRUTH, 0, 1, None, verdict="plausible"),
-            edge(NODES, TRUTH, 1, 2, None, verdict="plausible"),
-            edge(NODES, TRUTH, 2, 0, None, verdict="plausible", offset=offset),
+            edge(NODES, TRUTH, 0, 1, None, **LIKELY, rests_on=LEFT),
+            edge(NODES, TRUTH, 1, 2, None, **LIKELY, rests_on=MIDDLE),
+            edge(NODES, TRUTH, 2, 0, None, **LIKELY, rests_on=RIGHT, offset=offset),
         ]
         return frozenset({"r0", "r1", "r2"}) in together(solve(edges))
 

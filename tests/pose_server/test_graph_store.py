@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pose_server.fleet.types import Edge
+from pose_server.geometry.structure import Structure
 from pose_server.session.graph_store import Graph, GraphStore, GraphStoreError, read_graph
 from pose_server.session.keeper import Keeper, stored_graph
 from protocol.messages import ViewName
@@ -32,6 +33,12 @@ def graph(robots: int, **more) -> Graph:
     return Graph(payloads, {e.key: e for e in edges}, views[0])
 
 
+def same_structure(a: Structure | None, b: Structure | None) -> bool:
+    if a is None or b is None:
+        return a is b
+    return np.array_equal(a.centre, b.centre) and np.array_equal(a.spread, b.spread)
+
+
 def same(a: Graph, b: Graph) -> bool:
     return (
         list(a.keyframes.items()) == list(b.keyframes.items())
@@ -40,8 +47,10 @@ def same(a: Graph, b: Graph) -> bool:
         and all(
             np.array_equal(e.T_a_b, b.edges[key].T_a_b)
             and np.array_equal(e.covariance, b.edges[key].covariance)
-            and (e.verdict, e.operator, e.grown, e.p_grave)
-            == tuple(getattr(b.edges[key], k) for k in ("verdict", "operator", "grown", "p_grave"))
+            and (e.verdict, e.operator, e.grown)
+            == (b.edges[key].verdict, b.edges[key].operator, b.edges[key].grown)
+            and e.p_grave == b.edges[key].p_grave
+            and same_structure(e.structure, b.edges[key].structure)
             for key, e in a.edges.items()
         )
     )
@@ -65,6 +74,27 @@ def test_a_graph_is_there_again_and_only_changes_are_written(tmp_path):
     assert store._db.total_changes - changes == 6
     store.close()
     assert same(stored_graph(path), second)
+
+
+def test_what_an_edge_rests_on_and_how_sure_it_is_comes_back_and_older_files_go_by_its_verdict(
+    tmp_path,
+):
+    rests = Structure.of(np.random.default_rng(1).normal(size=(9, 3)))
+    first = graph(3, verdict="plausible", p_grave=0.125, structure=rests)
+    path = tmp_path / "graph.sqlite3"
+    store = GraphStore(path)
+    store.write(Graph(), first)
+    for column in ("p_grave", "structure"):
+        store._db.execute(f"ALTER TABLE edges DROP COLUMN {column}")
+    store._db.execute("PRAGMA user_version = 1")
+    store.close()
+    older = graph(3, verdict="plausible")
+    assert same(read_graph(path), older)
+    store = GraphStore(path)
+    assert same(store.read(), older)
+    store.write(older, first)
+    assert same(store.read(), first)
+    store.close()
 
 
 def test_no_file_and_no_graph_are_an_empty_one(tmp_path):

@@ -43,6 +43,19 @@ def test_joining_comes_before_sharpening_and_more_robots_before_fewer():
     assert all(question.gain > 0 for question in questions)
 
 
+def test_a_robot_that_hangs_by_doubtful_links_is_asked_about_before_those_that_are_sure():
+    edges = [
+        edge(NODES, TRUTH, 0, 1, None),
+        edge(NODES, TRUTH, 1, 2, None),
+        edge(NODES, TRUTH, 0, 3, None, p_grave=0.1, operator=True),
+    ]
+    order, questions = asked(edges, [facts(0, 1), facts(1, 2), facts(0, 3)])
+    assert order[0] == ("r0", "r3")
+    assert "gravely wrong with a probability of 10%" in questions[0].reason
+    _, questions = asked(edges, [facts(0, 1), facts(1, 2), facts(0, 3)], located_grave=0.2)
+    assert all("gravely wrong" not in question.reason for question in questions)
+
+
 def test_likely_overlap_decides_between_pairs_of_equal_worth():
     order, _ = asked([], [facts(0, 1, 0.2), facts(0, 2, 0.9), facts(0, 3, 0.5)])
     assert order == [("r0", "r2"), ("r0", "r3"), ("r0", "r1")]

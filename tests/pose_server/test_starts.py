@@ -8,13 +8,14 @@ import pytest
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.gravity import Gravity
 from pose_server.geometry.se3 import inverse, retract, rotation_angle, transform
+from pose_server.pairs.clicked import with_clicks
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.refining import Start
 from pose_server.pairs.starts import (
     Clicks,
-    operator_start,
-    start_from_clicks,
-    with_operator_fallback,
+    OperatorStart,
+    operator_starts,
+    starts_from_clicks,
 )
 from pose_server.pairs.views import prepare_view
 from tests.pose_server.scene import pair_of_views, turned
@@ -32,6 +33,17 @@ def clicked(points: np.ndarray, T_i_j: np.ndarray = T_TRUE) -> Clicks:
     uv_i, uv_j = ((p @ K.T)[:, :2] / p[:, 2:] for p in (points, at_j))
     sigma = np.full(len(points), 0.1)
     return Clicks(uv_i, uv_j, points[:, 2], at_j[:, 2], sigma, sigma)
+
+
+def start_from_clicks(*given) -> OperatorStart:
+    """Where there is only one."""
+    (start,) = starts_from_clicks(*given)
+    return start
+
+
+def told(result: PairResult, clicks: Clicks) -> PairResult:
+    """What becomes of a result by clicks."""
+    return with_clicks(result, operator_starts(I, J, clicks, ()), clicks, I, J)
 
 
 def slipped(clicks: Clicks, k: int, by_px: tuple[float, float]) -> Clicks:
@@ -77,14 +89,16 @@ def test_millimetres_and_what_is_not_finite_are_named():
         start_from_clicks(I, J, replace(clicks, z_j=1e3 * clicks.z_j), ())
     with pytest.raises(DegenerateGeometryError, match="not finite"):
         start_from_clicks(I, J, replace(clicks, z_j=np.full(5, np.nan)), ())
-    assert operator_start(I, J, replace(clicks, z_j=np.full(5, np.nan)), ()) is None
+    assert operator_starts(I, J, replace(clicks, z_j=np.full(5, np.nan)), ()) == []
 
 
 def test_clicks_that_contradict_each_other_never_stand_alone():
     clicks = slipped(clicked(POINTS[:3]), 0, (200, 150))
     found = start_from_clicks(I, J, clicks, ())
     assert "contradict" in found.note
-    assert with_operator_fallback(UNDETERMINED, found, I, J) == UNDETERMINED
+    result = told(UNDETERMINED, clicks)
+    assert (result.verdict, result.T_i_j, result.confirmed) == ("rejected", None, False)
+    assert result.hearing is not None and "contradict each other" in result.hearing.told
 
 
 def test_what_features_made_of_the_clicks_is_kept_where_the_clicks_agree_with_it():
@@ -94,27 +108,29 @@ def test_what_features_made_of_the_clicks_is_kept_where_the_clicks_agree_with_it
     operator = start_from_clicks(I, J, noisy, ())
     assert rotation_angle(operator.start.T_i_j[:3, :3].T @ T_TRUE[:3, :3]) > 1e-3
     weak = PairResult(T_TRUE, None, "rejected", ("only 6 matches agree, need 8",), start="features")
-    found = with_operator_fallback(weak, operator, I, J)
+    found = told(weak, noisy)
     assert found.verdict == "plausible" and found.T_i_j is T_TRUE
-    assert found.covariance is operator.covariance
+    assert np.allclose(found.covariance, operator.covariance)
     far = retract(T_TRUE, np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    own = with_operator_fallback(replace(weak, T_i_j=far), operator, I, J)
-    assert own.T_i_j is operator.start.T_i_j and own.start == "operator"
+    own = told(replace(weak, T_i_j=far), noisy)
+    assert operator.suits(own.T_i_j) and own.start == "operator"
     assert found.confirmed and own.confirmed
 
 
 def test_a_plausible_pose_yields_to_clicks_that_contradict_it_and_a_verified_one_does_not():
-    operator = start_from_clicks(I, J, clicked(POINTS), ())
     far = retract(T_TRUE, np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    for verdict, T in (("verified", far), ("plausible", operator.start.T_i_j)):
-        result = PairResult(far, np.eye(6), verdict, ("some matches agree",), start="features")
-        found = with_operator_fallback(result, operator, I, J)
-        assert found.T_i_j is T and found.confirmed is (verdict == "plausible")
+    result = PairResult(far, np.eye(6), "plausible", ("some matches agree",), start="features")
+    found = told(result, clicked(POINTS))
+    assert np.allclose(found.T_i_j, T_TRUE, atol=0.05) and found.confirmed
+    verified = replace(result, T_i_j=T_TRUE, verdict="verified")
+    found = told(verified, clicked(POINTS, far))
+    assert found.T_i_j is T_TRUE and not found.confirmed
+    assert found.hearing is not None and "fit another pose" in found.hearing.told
 
 
 def test_clicks_confirm_a_plausible_pose_that_features_found_first():
-    operator = start_from_clicks(I, J, clicked(POINTS), ())
     near = PairResult(T_TRUE, np.eye(6), "plausible", ("some",), start="features")
-    found = with_operator_fallback(near, operator, I, J)
+    found = told(near, clicked(POINTS))
     assert found.T_i_j is T_TRUE and found.confirmed and found.start == "features"
-    assert not with_operator_fallback(near, None, I, J).confirmed
+    few = told(near, clicked(POINTS[:2]))
+    assert few.T_i_j is T_TRUE and not few.confirmed

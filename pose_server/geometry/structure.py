@@ -1,0 +1,50 @@
+"""What of the world a set of matches rests on, told compactly: where it is and how far it reaches.
+
+Two views of one facade fit two views of its copy just as well, again and again. That is one
+observation told twice. So it counts which part of the world two observations rest on.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pose_server.geometry.se3 import transform
+
+Floats = npt.NDArray[np.floating]
+
+_REACH_SIGMAS = 2.0  # of a set of points to each side, along any direction
+_LEAST_SHARE = 1e-3  # of the distance: thinner than that no set of measured points is
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Points of one frame, by their middle (3,) and covariance (3, 3), metres."""
+
+    centre: Floats
+    spread: Floats
+
+    @classmethod
+    def of(cls, points: Floats) -> "Structure":
+        """Of points (N, 3); what is nan is not known. Of none it is nowhere, apart from nothing."""
+        points = points[np.isfinite(points).all(axis=1)]
+        if len(points) == 0:
+            return cls(np.full(3, np.nan), np.eye(3))
+        centre = points.mean(axis=0)
+        off = points - centre
+        thin = _LEAST_SHARE * float(np.linalg.norm(centre))
+        return cls(centre, off.T @ off / len(points) + thin**2 * np.eye(3))
+
+    def seen_from(self, T_other_here: Floats) -> "Structure":
+        """The same in another frame."""
+        R = T_other_here[:3, :3]
+        return Structure(transform(T_other_here, self.centre[None])[0], R @ self.spread @ R.T)
+
+    def apart(self, other: "Structure") -> bool:
+        """Whether two sets lie side by side: along the direction that tells them apart best
+        (Fisher's) each ends before the other begins.
+        """
+        between = other.centre - self.centre
+        across = np.linalg.solve(self.spread + other.spread, between)
+        reach = sum(float(np.sqrt(across @ one.spread @ across)) for one in (self, other))
+        return bool(abs(across @ between) > _REACH_SIGMAS * reach > 0.0)
