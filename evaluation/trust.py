@@ -20,6 +20,7 @@ from evaluation.report import output_folder, print_table, write_summary
 from pose_server.pairs.evidence import Evidence
 from pose_server.pairs.explained import Explained
 from pose_server.pairs.trust import (
+    CHI2_SIGNS,
     SIGNS,
     TrustModel,
     circumstances,
@@ -34,6 +35,12 @@ from protocol.errors import DataFolderError
 # Of the weights, in units of their signs' scatter: every sign is expected to speak, the pairs at
 # hand must not silence one that happens to say little in them.
 _PRIOR, _RIDGE = 0.4, 3.0
+# Of squared contrasts, as they are: half of what Gaussian scatter would give, for its tails are
+# longer than that.
+_PRIOR_OF_CHI2 = 0.25
+# Aliases that are alike to the last texel: no evidence of the pair tells, the fleet must. They
+# would teach that all right poses are doubtful.
+_UNTOLD_LOG_ODDS = -1.5  # from 4.5 to one on
 _MOST_OF_A_PLACE = 400.0  # pairs that a place counts as: none outvotes the others
 _ROBUST_ROUNDS = 3
 _PARTS = {field.name for field in fields(Explained)}
@@ -121,6 +128,9 @@ def fit(rows: Sequence[Judged]) -> TrustModel:
     X = np.array([signs(r.evidence, contrast(draft, r.evidence)) for r in rows], np.float64)
     y = np.array([row.grave for row in rows], float)
     weights, bias = _fit_logistic(X, y, _place_weights(rows))
+    for _ in range(_ROBUST_ROUNDS):
+        told = (y == 0) | (X @ weights + bias > _UNTOLD_LOG_ODDS)
+        weights, bias = _fit_logistic(X[told], y[told], _place_weights(rows)[told])
     return TrustModel(draft.expected, draft.scatter, tuple(weights.tolist()), bias)
 
 
@@ -155,13 +165,15 @@ def _fit_logistic(X: Floats, y: Floats, w: Floats) -> tuple[Floats, float]:
     """Weights (S,) >= 0 and bias of the log odds that y is 1, with a ridge around their prior."""
     scale = X.std(axis=0) + 1e-6
     Z = X / scale
+    squared = np.array([name in CHI2_SIGNS for name in SIGNS])
+    prior = np.where(squared, _PRIOR_OF_CHI2 * scale, _PRIOR)
 
     def cost(theta: Floats) -> tuple[float, Floats]:
         odds = Z @ theta[1:] + theta[0]
         loss = np.logaddexp(0, odds) - y * odds
         slope = w * (1 / (1 + np.exp(-odds)) - y)
-        gradient = np.concatenate(([slope.sum()], Z.T @ slope + _RIDGE * (theta[1:] - _PRIOR)))
-        return float((w * loss).sum() + 0.5 * _RIDGE * ((theta[1:] - _PRIOR) ** 2).sum()), gradient
+        gradient = np.concatenate(([slope.sum()], Z.T @ slope + _RIDGE * (theta[1:] - prior)))
+        return float((w * loss).sum() + 0.5 * _RIDGE * ((theta[1:] - prior) ** 2).sum()), gradient
 
     bounds = [(None, None)] + [(0.0, None)] * X.shape[1]
     found = minimize(cost, np.zeros(X.shape[1] + 1), jac=True, method="L-BFGS-B", bounds=bounds)

@@ -26,6 +26,7 @@ from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.refining import Start
 from pose_server.pairs.tracking import Attached, accepted
+from pose_server.repeats import believed
 from pose_server.site import RobotPair, Site
 from pose_server.views import KeptView
 from pose_server.widening import note_open, wide_job
@@ -157,7 +158,7 @@ def solve(site: Site, now_s: float) -> None:
     }
     site.solution = solve_fleet(
         nodes,
-        list(site.edges.values()),
+        list(believed(site)),
         click_factors(site),
         gauge=site.gauge,
         newest=first,
@@ -363,6 +364,7 @@ def _link_pair(site: Site, i: Attached, j: Attached, done: Done) -> None:
         structure=(
             None if result.structure is None else result.structure.seen_from(i.T_keyframe_view)
         ),
+        singled_out=result.singled_out,
     )
     before = site.edges.get(edge.key)
     if before is None or operator or _rank(edge) >= _rank(before):

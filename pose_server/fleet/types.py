@@ -50,6 +50,8 @@ class Edge:
         p_grave: probability that it is gravely off; by default what its verdict stands for.
         structure: what of the world it rests on, in the frame of view a; None where that is not
             known: such an edge is nobody's independent witness.
+        singled_out: rivals that the place's repetitions offered were beaten by what is there only
+            once.
     """
 
     a: ViewName
@@ -62,6 +64,7 @@ class Edge:
     grown: bool = False
     p_grave: float = -1.0
     structure: Structure | None = None
+    singled_out: bool = False
 
     def __post_init__(self) -> None:
         if self.p_grave < 0.0:

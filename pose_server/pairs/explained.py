@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.geometry.evidence import hides
+from pose_server.geometry.observed import Observed
 from pose_server.geometry.patches import sides_seen
 from pose_server.geometry.se3 import inverse, transform
 from pose_server.pairs.pair import Pair
@@ -19,6 +20,8 @@ Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
 
+PARTS = 8  # across a view's width
+NO_CHANCE = 3.0  # places expected to be found in a part: none is found by chance in one of twenty
 _CELL_PX = 4.0  # copies of one spot in several tilted images are one place
 
 
@@ -31,6 +34,9 @@ class Explained:
         share: places that agree, over these.
         unguided_share: of the matches by descriptor alone between places that both should see, the
             ones that agree.
+        holes: share of the visible places in parts of a view where none is found, though by the
+            share of all some should be; of the worse view. A right pose finds less at a wide angle,
+            but everywhere; an alias finds nothing of what stands about only once.
         parallax_rad: median angle between both cameras' rays to these places.
         scale: median of |log| of the ratio of both cameras' distances to them.
         front: share of the surfaces that are seen from their front, of the worse direction.
@@ -40,6 +46,7 @@ class Explained:
     visible: int
     share: float
     unguided_share: float
+    holes: float
     parallax_rad: float
     scale: float
     front: float
@@ -80,6 +87,10 @@ def explained(pair: Pair, T: Floats, agreeing: Indices, unguided: Bools) -> Expl
     return Explained(
         visible=min(places_i, places_j),
         share=min(found_i, found_j) / max(min(places_i, places_j), 1),
+        holes=max(
+            holes(pair.i.observed, of_i.mask, agreeing[:, 0]),
+            holes(pair.j.observed, of_j.mask, agreeing[:, 1]),
+        ),
         unguided_share=float((unguided & expected).sum() / max(expected.sum(), 1)),
         parallax_rad=_median(np.concatenate((of_i.parallax_rad, of_j.parallax_rad))),
         scale=_median(np.concatenate((of_i.scale, of_j.scale))),
@@ -100,6 +111,20 @@ def visible_in(
     mask[predicted.index[seen]] = True
     here = source.observed.points[predicted.index[seen]]
     return Visible(mask, *_seen_from_both(here, T_target_source))
+
+
+def holes(view: Observed, visible: Bools, found: Indices) -> float:
+    """Share of the visible points (N,) in parts of an image in which none is among those found."""
+    if not visible.any():
+        return 0.0
+    cells = np.floor(view.uv[visible] / (view.size[0] / PARTS)).astype(np.int64)
+    part = cells[:, 1] * PARTS + cells[:, 0]
+    again = np.zeros(len(view.uv), bool)
+    again[found] = True
+    places = np.bincount(part)
+    here = np.bincount(part, weights=again[visible])
+    empty = (here == 0) & (again[visible].mean() * places >= NO_CHANCE)
+    return float(places[empty].sum() / places.sum())
 
 
 def count_places(uv: Floats) -> int:

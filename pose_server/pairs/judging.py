@@ -7,7 +7,6 @@ import numpy.typing as npt
 
 from pose_server.calibration.compare import DepthErrors
 from pose_server.calibration.shift import DepthShift
-from pose_server.geometry import robust
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.evidence import Agreement
 from pose_server.geometry.motion import Mask
@@ -18,10 +17,10 @@ from pose_server.pairs.evidence import NO_RIVAL, Evidence
 from pose_server.pairs.explained import explained
 from pose_server.pairs.hearing import Hearing
 from pose_server.pairs.pair import Pair
-from pose_server.pairs.rivals import EXACT_SIGMAS, exact_matches, rivals_of
+from pose_server.pairs.rivals import EXACT_SIGMAS, exact_matches, left_over, rivals_of
 from pose_server.pairs.trust import RIVAL_P_GRAVE, p_grave, stands, with_rivals
 from pose_server.pairs.trust_model import MODEL
-from pose_server.pairs.verdict import Verdict, judge, left_over_stands
+from pose_server.pairs.verdict import Verdict, judge
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -45,7 +44,8 @@ class PairResult:
     probability that the pose is gravely off, 1 where there is none; `rivals` are other (4, 4) poses
     that the images support as well. `mirrored`: the views fit only if one of them is mirrored.
     `structure` is what of the world its matches rest on, in the frame of view i; `hearing` what
-    became of the clicks it was made with.
+    became of the clicks it was made with. `twofold`: it would be verified, but another pose looks
+    right as well; `singled_out`: others looked right, but saw less of what is there.
     """
 
     T_i_j: Floats | None
@@ -69,6 +69,8 @@ class PairResult:
     p_grave: float = 1.0
     rivals: tuple[Floats, ...] = ()
     mirrored: bool = False
+    twofold: bool = False
+    singled_out: bool = False
     structure: Structure | None = None
     hearing: Hearing | None = None
 
@@ -103,8 +105,6 @@ def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None
         return PairResult(T, None, "rejected", (reason,), overlap=seen.overlap, start=start)
     evidence = _evidence(pair, T, matches, final, again, covariance, places, seen)
     chance = p_grave(evidence, MODEL)
-    if left_over_stands(evidence):
-        chance = max(chance, evidence.rival / (evidence.rival + evidence.rivalled))
     verdict, reasons = judge(evidence, chance)
     error_m2, count = regression_error(pair, T)
     return PairResult(
@@ -148,6 +148,8 @@ def contested(pair: Pair, result: PairResult) -> PairResult:
         verdict=verdict,
         reasons=reasons,
         p_grave=with_rivals(result.p_grave, [rival.lead for rival in rivals]),
+        twofold=result.verdict == "verified" and verdict == "ambiguous",
+        singled_out=verdict == "verified",
         rivals=tuple(rival.T_i_j for rival in rivals if stands(rival.lead)),
     )
 
@@ -246,23 +248,11 @@ def _rival(pair: Pair, T: Floats, ratio: Refinement | None, noise: NoiseScale) -
     if ratio is None:
         return 0, 0
     own = ratio.inliers
-    rest = pair.ratio[~own]
     nobody = 0, _places(pair, pair.ratio[own])
-    if len(rest) < 6:
+    other = left_over(pair, own, noise)
+    if other is None or not pair.gravely_apart(T, other):
         return nobody
-    p_i, p_j = pair.points(rest)
-    found = robust.solve(p_i / pair.depth_m, p_j / pair.depth_m, 0.01)
-    if found is None:
-        return nobody
-    other = found[0].copy()
-    other[:3, 3] *= pair.depth_m
-    try:
-        other = pair.refined(other, rest[found[1]], noise, 4).T_i_j
-        theirs = pair.scored(other, pair.ratio, noise).inliers
-    except DegenerateGeometryError:
-        return nobody
-    if not pair.gravely_apart(T, other):
-        return nobody
+    theirs = pair.scored(other, pair.ratio, noise).inliers
     return _places(pair, pair.ratio[theirs & ~own]), _places(pair, pair.ratio[own & ~theirs])
 
 

@@ -13,12 +13,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from pose_server.geometry import robust
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.matching import NO_MATCHES
 from pose_server.geometry.refine import NoiseScale
 from pose_server.geometry.se3 import inverse
 from pose_server.geometry.triangles import MOST_MATCHES, poses_by_triangles
-from pose_server.pairs.explained import count_places, visible_in
+from pose_server.pairs.explained import NO_CHANCE, PARTS, count_places, visible_in
 from pose_server.pairs.pair import Pair
 from pose_server.pairs.views import PreparedView
 
@@ -30,14 +31,13 @@ _ELSEWHERE_PX = 12.0  # nearer points are the same corner, seen twice
 _ALIKE_PLACES = 3  # of each point, at most: a period has one on either side
 _AS_ALIKE = 1.5  # squared distance of descriptors, over that of the pose's own match,
 _EXACTLY_ALIKE = 0.04  # which is at least this: twins in a rendered or very sharp image
+_LEAST_LEFT_OVER = 6  # matches, to look for another pose among them
 _LEAST_ALIKE = 8  # points with a twin elsewhere: fewer are chance
 _RADIUS = 0.012  # share of the depth: an alias is known as well as a pose by triangles
 _LEAST_PLACES = 12  # that a rival finds again
 EXACT_SIGMAS = 2.5  # across the epipolar line: a wider one is found by chance around any place
 _NOISE = NoiseScale(1.0, 1.5)
 _COMMON = 12  # places that one pose finds and the other expects: fewer tell nothing
-_PARTS = 8  # across a view's width
-_NO_CHANCE = 3.0  # places expected to be found in a part: none is found by chance in one of twenty
 _MOST_RIVALS = 3
 
 
@@ -72,21 +72,57 @@ def rivals_of(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
         T: T_i_j.
         exact: (M, 2) matches that agree with it to the pixel.
     """
-    elsewhere = np.concatenate((_elsewhere(pair.i, pair.j, exact), _elsewhere_in_j(pair, exact)))
-    if len(elsewhere) < _LEAST_ALIKE:
+    poses: list[Floats] = []
+    other = left_over(pair, np.isin(pair.ratio[:, 1], exact[:, 1]), _NOISE)
+    if other is not None and pair.gravely_apart(T, other):
+        poses.append(other)
+    elsewhere = _elsewhere(pair, exact)[:MOST_MATCHES]
+    if len(elsewhere) >= _LEAST_ALIKE:
+        found = poses_by_triangles(pair.i.observed, pair.j.observed, elsewhere, pair.depth_m)
+        poses += [pose for pose, _ in found]
+    if not poses:
         return []
     winner = _Claim.of(pair, T)
     rivals: list[Rival] = []
-    for pose, _ in poses_by_triangles(
-        pair.i.observed, pair.j.observed, elsewhere[:MOST_MATCHES], pair.depth_m
-    ):
+    for pose in poses:
         rival = _rival(pair, winner, pose)
         if rival is not None and not any(pair.same_pose(rival.T_i_j, r.T_i_j) for r in rivals):
             rivals.append(rival)
     return sorted(rivals, key=lambda one: -one.places)[:_MOST_RIVALS]
 
 
-def _elsewhere(i: PreparedView, j: PreparedView, matches: Indices) -> Indices:
+def left_over(pair: Pair, agreeing: Bools, noise: NoiseScale) -> Floats | None:
+    """The best pose of the matches by descriptor that do not agree with a known one.
+
+    Args:
+        pair: the views.
+        agreeing: (R,) which of `pair.ratio` do.
+        noise: of the pair.
+    """
+    rest = pair.ratio[~agreeing]
+    if len(rest) < _LEAST_LEFT_OVER:
+        return None
+    p_i, p_j = pair.points(rest)
+    found = robust.solve(p_i / pair.depth_m, p_j / pair.depth_m, 0.01)
+    if found is None:
+        return None
+    other = found[0].copy()
+    other[:3, 3] *= pair.depth_m
+    try:
+        return pair.refined(other, rest[found[1]], noise, 4).T_i_j
+    except DegenerateGeometryError:
+        return None
+
+
+def _elsewhere(pair: Pair, matches: Indices) -> Indices:
+    """Matches (M', 2) of both views' points with what looks as much like them at other places than
+    where `matches` (M, 2) put them.
+    """
+    turned = _elsewhere_in(pair.j, pair.i, matches[:, ::-1])
+    return np.concatenate((_elsewhere_in(pair.i, pair.j, matches), turned[:, ::-1]))
+
+
+def _elsewhere_in(i: PreparedView, j: PreparedView, matches: Indices) -> Indices:
     """Matches (M', 2) of j's points with what looks as much like them at other places of i than
     where `matches` (M, 2) put them; the most alike first.
     """
@@ -108,10 +144,6 @@ def _elsewhere(i: PreparedView, j: PreparedView, matches: Indices) -> Indices:
     return np.column_stack((lifted[best[rows, columns]], matches[rows, 1]))
 
 
-def _elsewhere_in_j(pair: Pair, matches: Indices) -> Indices:
-    return _elsewhere(pair.j, pair.i, matches[:, ::-1])[:, ::-1]
-
-
 def _rival(pair: Pair, winner: "_Claim", pose: Floats) -> Rival | None:
     matches = np.unique(np.concatenate((pair.guided(pose, _RADIUS), pair.ratio)), axis=0)
     if len(matches) < 6:
@@ -129,27 +161,30 @@ def _rival(pair: Pair, winner: "_Claim", pose: Floats) -> Rival | None:
 
 
 def _holes(of: "_Claim", beside: "_Claim") -> int:
-    """Places that another pose finds in parts of a view where a pose finds nothing of what it
-    expects, though elsewhere it finds enough for that to be no chance.
+    """Places that another pose finds in parts of a view where a pose accounts for nothing, though
+    elsewhere it accounts for enough for that to be no chance.
 
-    A right pose seen at a wide angle finds less than an alias seen at a narrow one, but everywhere;
-    an alias finds nothing of what stands about only once.
+    A pose accounts for a place that it finds again too, and for one that it puts out of sight if
+    something like it is elsewhere in the other view: repetition explains that it was found. A
+    right pose seen at a wide angle finds less than an alias seen at a narrow one, but everywhere;
+    an alias accounts for nothing of what stands about only once.
     """
     return max(_holes_in(of, beside, column) for column in (0, 1))
 
 
 def _holes_in(of: "_Claim", beside: "_Claim", column: int) -> int:
     view = (of.pair.i, of.pair.j)[column].observed
-    known = of.expected[column] & beside.found[column]
+    known = beside.found[column]
     if known.sum() < _COMMON:
         return 0
-    cells = np.floor(view.uv[known] / (view.size[0] / _PARTS)).astype(np.int64)
-    part = cells[:, 1] * _PARTS + cells[:, 0]
-    again = of.found[column][known]
+    cells = np.floor(view.uv[known] / (view.size[0] / PARTS)).astype(np.int64)
+    part = cells[:, 1] * PARTS + cells[:, 0]
+    repeated = beside.repeated[column] & ~of.expected[column]
+    again = (of.found[column] | repeated)[known]
     places = np.bincount(part)
     found = np.bincount(part, weights=again)
     rate = again.mean()
-    return int(places[(found == 0) & (rate * places >= _NO_CHANCE)].sum())
+    return int(places[(found == 0) & (rate * places >= NO_CHANCE)].sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +194,7 @@ class _Claim:
     Attributes:
         expected, found: of i's points and of j's, which should be seen in the other view, and which
             are found again to the pixel.
+        repeated: of these, what has something like it elsewhere in the other view.
         places: distinct places found.
         share: of the places expected.
     """
@@ -167,6 +203,7 @@ class _Claim:
     pair: Pair
     expected: tuple[Bools, Bools]
     found: tuple[Bools, Bools]
+    repeated: tuple[Bools, Bools]
     places: int
     share: float
 
@@ -178,13 +215,23 @@ class _Claim:
         )
         matches = np.unique(np.concatenate((pair.guided(T, 0.006), pair.ratio)), axis=0)
         agreeing = exact_matches(pair, T, matches)
-        found = tuple(np.zeros(len(mask), bool) for mask in expected)
-        for column in (0, 1):
-            found[column][agreeing[:, column]] = True
+        found = _masks(pair, agreeing)
+        repeated = (
+            _masks(pair, _elsewhere_in(pair.j, pair.i, agreeing[:, ::-1])[:, ::-1])[0],
+            _masks(pair, _elsewhere_in(pair.i, pair.j, agreeing))[1],
+        )
         views = pair.i.observed, pair.j.observed
         seen = min(count_places(v.uv[mask]) for v, mask in zip(views, expected, strict=True))
         places = min(count_places(v.uv[mask]) for v, mask in zip(views, found, strict=True))
-        return cls(T, pair, expected, (found[0], found[1]), places, places / max(seen, 1))
+        return cls(T, pair, expected, found, repeated, places, places / max(seen, 1))
+
+
+def _masks(pair: Pair, matches: Indices) -> tuple[Bools, Bools]:
+    """Which of i's points and of j's are in matches (M, 2)."""
+    masks = np.zeros(len(pair.i.observed.uv), bool), np.zeros(len(pair.j.observed.uv), bool)
+    for column in (0, 1):
+        masks[column][matches[:, column]] = True
+    return masks
 
 
 def exact_matches(pair: Pair, T: Floats, matches: Indices) -> Indices:

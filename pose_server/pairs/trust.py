@@ -16,7 +16,8 @@ from pose_server.pairs.evidence import Evidence
 Floats = npt.NDArray[np.floating]
 
 _NOTHING = 0.003  # share of places that is as good as none: its logarithm stays finite
-_MOST_THROUGH, _MOST_OFF = 0.6, 0.5
+_FEW = 0.003
+_MOST_CHI2, _MOST_OFF = 25.0, 0.5
 # How likely a pose may be gravely off that is called verified, and from where on it is refused. Of
 # the poses called verified far fewer are: most are far below the limit.
 VERIFIED_P_GRAVE, REJECTED_P_GRAVE = 0.03, 0.9
@@ -32,9 +33,8 @@ class TrustModel:
     """Fitted numbers; see `pose-eval trust`.
 
     Attributes:
-        expected: (3, 6) weights of `circumstances`, for the log of the explained share, of the
-            unguided share, and for the logit of the agreement, as a right pose has them.
-        scatter: (3,) sigmas of right poses around these.
+        expected: (5, 6) weights of `circumstances`, for the `shares` of a right pose.
+        scatter: (5,) sigmas of right poses around these.
         weights: (S,) of `signs`, and `bias`: the log odds of a grave error.
     """
 
@@ -60,13 +60,17 @@ def circumstances(e: Evidence) -> Floats:
 
 
 def shares(e: Evidence) -> Floats:
-    """(3,) log of the explained share and of the unguided share, logit of the agreement."""
+    """(5,) what a right pose has much of: log of the explained share and of the unguided share,
+    logit of the agreement, and less the logs of what is seen through and of parts without any find.
+    """
     agree = np.clip(e.agree, 0.02, 0.98)
     return np.array(
         (
             np.log(e.explained.share + _NOTHING),
             np.log(e.explained.unguided_share + _NOTHING),
             np.log(agree / (1 - agree)),
+            -np.log(e.through + _FEW),
+            -np.log(e.explained.holes + 10 * _FEW),
         )
     )
 
@@ -76,18 +80,16 @@ def signs(e: Evidence, contrast: Floats) -> Floats:
 
     Args:
         e: the evidence.
-        contrast: (3,) of its shares with what right poses have, sigmas; negative is poor.
+        contrast: (5,) of its shares with what right poses have, sigmas; negative is poor.
     """
-    lacking, surplus = np.clip(-contrast, 0, 8), np.clip(contrast, 0, 2)
+    lacking = np.maximum(-contrast, 0.0)
     return np.array(
         (
-            *lacking,
-            *(2 - surplus),
+            *np.minimum(np.square(lacking), _MOST_CHI2),
             -np.log(max(e.exact, 1)),
             -np.log(max(e.ratio_inliers, 1)),
             -np.log(max(2 * e.exact - e.inliers, 1)),
             np.log(np.clip(e.depth_noise, 0.8, 4.0)),
-            np.log(np.clip(e.through, 0.01, _MOST_THROUGH)),
             1 - e.explained.front if e.explained.sides >= 10 else 0.0,
             np.log(np.clip(3 * e.position_sigma + e.shift + e.pulled, 0.003, _MOST_OFF)),
             min((e.rival + 1) / (e.rivalled + 1), 1.0),
@@ -95,18 +97,19 @@ def signs(e: Evidence, contrast: Floats) -> Floats:
     )
 
 
+CHI2_SIGNS = (
+    "unexplained",
+    "found_by_guidance_alone",
+    "surfaces_disagree",
+    "seen_through",
+    "holes",
+)
 SIGNS = (
-    "explained_lacking",
-    "unguided_lacking",
-    "agreement_lacking",
-    "explained_poor",
-    "unguided_poor",
-    "agreement_poor",
+    *CHI2_SIGNS,
     "few_exact",
     "few_unguided",
     "hazy",
     "loose_depths",
-    "seen_through",
     "from_behind",
     "undetermined",
     "rival",
@@ -114,7 +117,7 @@ SIGNS = (
 
 
 def contrast(model: TrustModel, e: Evidence) -> Floats:
-    """(3,) of the shares with what right poses have in these circumstances, sigmas."""
+    """(5,) of the shares with what right poses have in these circumstances, sigmas."""
     expected = np.asarray(model.expected) @ circumstances(e)
     return (shares(e) - expected) / np.asarray(model.scatter)
 

@@ -22,19 +22,11 @@ def judge(e: Evidence, p_grave: float) -> tuple[Verdict, tuple[str, ...]]:
     """The verdict on a pose that is gravely off with this probability, and the reasons for it."""
     if reasons := against(e, p_grave):
         return "rejected", reasons
-    if left_over_stands(e):
-        reason = f"another pose has {e.rival} matches of its own, this one {e.rivalled}"
-        return "ambiguous", (reason,)
     if stands(e.lead):
         return "ambiguous", (_ALIAS,)
-    if reasons := _doubts(e, p_grave):
+    if reasons := doubts(e, p_grave):
         return "plausible", reasons
     return "verified", (f"{e.inliers} matches agree to {e.across_px:.2f} px",)
-
-
-def left_over_stands(e: Evidence) -> bool:
-    """Whether the best pose of the matches left over may as well be the right one."""
-    return e.rival > 0.6 * e.rivalled and e.rival >= 5
 
 
 def needed_matches(ratio_matches: int) -> int:
@@ -63,7 +55,7 @@ def against(e: Evidence, p_grave: float) -> tuple[str, ...]:
     )
 
 
-def _doubts(e: Evidence, p_grave: float) -> tuple[str, ...]:
+def doubts(e: Evidence, p_grave: float) -> tuple[str, ...]:
     """What keeps a pose from being verified."""
     off = 3 * e.position_sigma + e.shift + e.pulled
     return _said(

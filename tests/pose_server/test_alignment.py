@@ -48,6 +48,7 @@ GOOD = Evidence(
         visible=300,
         share=0.32,
         unguided_share=0.8,
+        holes=0.0,
         parallax_rad=0.4,
         scale=0.05,
         front=1.0,
@@ -109,7 +110,6 @@ SURE = 1e-3  # the probability of a grave error that goes with evidence like thi
         {"rotation_sigma_rad": 0.05},
         {"shift": 0.02},
         {"compared": 5},
-        {"rival": 50},
         {"lead": 2.0},
     ],
 )

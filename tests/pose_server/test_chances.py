@@ -113,7 +113,7 @@ def evidence(**more):
         "exact": 50,
         "rivalled": 14,
         "lead": NO_RIVAL,
-        "explained": Explained(400, 0.12, 0.1, 0.8, 0.1, 0.9, 60),
+        "explained": Explained(400, 0.12, 0.1, 0.0, 0.8, 0.1, 0.9, 60),
     }
     return Evidence(**{**stated, **more})
 

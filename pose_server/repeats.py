@@ -1,0 +1,59 @@
+"""A place that repeats itself fools also those pairs that cannot see it: two robots before one door
+each find the same door, and nothing tells that there are twenty.
+
+Pairs that see more of it tell: two poses look right to them. Where that happens more than now and
+then, a pose to which nothing offered a rival is no surer than the place lets it be. One that beat
+its rivals is: it saw what is there only once.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+from pose_server.fleet.types import Edge
+from pose_server.site import Site
+
+_LEAST_TWOFOLD = 2  # pairs of robots to which two poses look right, and
+_LEAST_SHARE = 0.1  # of these and the verified ones: fewer are corners of a place that is unlike
+
+
+def repetition(site: Site) -> float:
+    """Share (0..1) of the pairs of robots that would be verified to which another pose looks right
+    too, or whose pose others refute; 0 where these are exceptions.
+    """
+    refuted = _refuted(site)
+    twofold = verified = 0
+    for pair, record in site.pairs.items():
+        if record.last is None:
+            continue
+        if record.last.twofold or pair in refuted:
+            twofold += 1
+        elif record.last.verdict == "verified":
+            verified += 1
+    if twofold < _LEAST_TWOFOLD or twofold < _LEAST_SHARE * (twofold + verified):
+        return 0.0
+    return twofold / (twofold + verified)
+
+
+def believed(site: Site) -> Iterable[Edge]:
+    """The graph's edges as far as the place lets them be believed."""
+    share = repetition(site)
+    for edge in site.edges.values():
+        doubtful = share > 0 and edge.verdict == "verified" and not edge.singled_out
+        if doubtful and edge.kind == "pair" and not edge.operator:
+            yield replace(edge, verdict="plausible", p_grave=max(edge.p_grave, share))
+        else:
+            yield edge
+
+
+def _refuted(site: Site) -> set[tuple[str, str]]:
+    """Pairs of robots with a verified edge that the last solution set aside."""
+    if site.solution is None:
+        return set()
+    return {
+        (min(edge.a.robot, edge.b.robot), max(edge.a.robot, edge.b.robot))
+        for key, edge in site.edges.items()
+        if edge.verdict == "verified"
+        and edge.kind == "pair"
+        and (said := site.solution.edges.get(key)) is not None
+        and said.outlier
+    }

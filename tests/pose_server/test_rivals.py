@@ -1,0 +1,78 @@
+"""Places that repeat themselves: a pose is believed only if something there is only once."""
+
+import numpy as np
+import pytest
+
+from pose_server.geometry.patches import sides_seen
+from pose_server.geometry.se3 import exp_so3, inverse, make_pose
+from pose_server.pairs.align import align_pair
+from pose_server.pairs.explained import explained
+from pose_server.pairs.judging import PairResult
+from pose_server.pairs.pair import RATIO, Pair
+from pose_server.pairs.rivals import exact_matches
+from pose_server.pairs.views import PreparedView, prepare_view
+from tests.pose_server.scene import K, descriptors, turned, view
+
+PERIOD_M = 2.0
+POSTER_M = 1.4  # from its middle to its edges
+STEP = make_pose(np.eye(3), np.array([0.4, 0.05, 0.1]))  # from one camera to the other
+
+
+def panelled(rng: np.random.Generator, unique: int) -> tuple[PreparedView, PreparedView]:
+    """Two views of a wall of equal panels, 10 m away, and a poster with so many points."""
+    panel = np.column_stack(
+        (rng.uniform(0, PERIOD_M, 60), rng.uniform(-3, 3, 60), rng.uniform(9.8, 10.2, 60))
+    )
+    places = np.arange(-4, 4) * PERIOD_M
+    points = np.concatenate([panel + np.array((x, 0.0, 0.0)) for x in places])
+    looks = np.tile(descriptors(rng, 60), (len(places), 1))
+    if unique:  # a poster hides what it hangs on
+        bare = (np.abs(points[:, :2]) > POSTER_M).any(axis=1)
+        poster = np.column_stack(
+            (rng.uniform(-POSTER_M, POSTER_M, (unique, 2)), np.full(unique, 9.7))
+        )
+        points = np.concatenate((points[bare], poster))
+        looks = np.concatenate((looks[bare], descriptors(rng, unique)))
+    return (
+        prepare_view(view(rng, "r1", points, looks, np.eye(4))),
+        prepare_view(view(rng, "r2", points, looks, inverse(STEP))),
+    )
+
+
+def aligned(unique: int) -> PairResult:
+    return align_pair(*panelled(np.random.default_rng(5), unique))
+
+
+def test_a_wall_of_equal_panels_is_never_verified():
+    found = aligned(0)
+    assert found.verdict != "verified"
+    assert found.p_grave > 0.2
+
+
+@pytest.mark.parametrize("unique", [120])
+def test_what_is_there_only_once_breaks_the_tie(unique):
+    found = aligned(unique)
+    assert found.T_i_j is not None
+    assert np.linalg.norm(found.T_i_j[:3, 3] - STEP[:3, 3]) < 0.2
+    assert found.verdict == "verified"
+
+
+def test_a_right_pose_explains_more_than_one_a_panel_further():
+    i, j = panelled(np.random.default_rng(6), 40)
+    pair = Pair(i, j, RATIO)
+    beside = make_pose(np.eye(3), STEP[:3, 3] + (PERIOD_M, 0.0, 0.0))
+    holes = []
+    for T in (STEP, beside):
+        matches = np.unique(np.concatenate((pair.guided(T, 0.008), pair.ratio)), axis=0)
+        agreeing = exact_matches(pair, T, matches)
+        holes.append(explained(pair, T, agreeing, np.zeros(len(pair.ratio), bool)).holes)
+    assert holes[0] < 0.05 < holes[1]
+
+
+def test_a_camera_behind_a_wall_would_see_it_from_behind():
+    i, _ = panelled(np.random.default_rng(7), 0)
+    patches = i.surface.patches
+    behind = make_pose(exp_so3(np.array([0.0, np.pi, 0.0])), np.array([0.0, 0.0, 20.0]))
+    assert sides_seen(patches, inverse(turned(20)), K, i.surface.size).front > 0.95
+    seen = sides_seen(patches, inverse(behind), K, i.surface.size)
+    assert seen.told > 20 and seen.front < 0.05
