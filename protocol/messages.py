@@ -412,10 +412,10 @@ class RelativePose(
         default="ambiguous", description="of the weakest link that holds either of them"
     )
     located: bool = Field(default=False, description="whether both robots are")
-    p_grave: Probability = Field(
-        default=1.0,
-        description="that it is gravely off: that one of the links on the way is; 1 where nothing "
-        "but clicks links two robots",
+    p_grave: Probability | None = Field(
+        default=None,
+        description="that it is gravely off: that one of the links on the way is; none where "
+        "nothing is known of that, as where clicks alone link two robots",
     )
     why_not: Text = Field(
         default="", description="why they are not both located, as operators read it"

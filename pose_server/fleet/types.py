@@ -32,7 +32,7 @@ class Edge:
         kind: `odometry` between views of one robot, `pair` between robots.
         operator: three or more of the operator's correspondences agree with it.
         grown: from them, so that they are in it.
-        p_grave: probability that the alignment is gravely off; 1 where that is not known.
+        p_grave: probability that the alignment is gravely off; None where that is not known.
     """
 
     a: ViewName
@@ -43,7 +43,7 @@ class Edge:
     kind: EdgeKind = "pair"
     operator: bool = False
     grown: bool = False
-    p_grave: float = 1.0
+    p_grave: float | None = None
 
     @property
     def key(self) -> EdgeKey:

@@ -33,7 +33,7 @@ _TABLES = (
         robot_b TEXT NOT NULL, epoch_b TEXT NOT NULL, seq_b INTEGER NOT NULL,
         kind TEXT NOT NULL, verdict TEXT NOT NULL, operator INTEGER NOT NULL,
         grown INTEGER NOT NULL, T_a_b BLOB NOT NULL, covariance BLOB NOT NULL,
-        p_grave REAL NOT NULL DEFAULT 1.0,
+        p_grave REAL,
         PRIMARY KEY (robot_a, epoch_a, seq_a, robot_b, epoch_b, seq_b, kind)
     ) STRICT""",
     """CREATE TABLE gauge (
@@ -142,7 +142,7 @@ class GraphStore:
         elif version == 1:  # edges without p_grave
             with self._db:
                 self._db.execute("BEGIN IMMEDIATE")
-                self._db.execute("ALTER TABLE edges ADD COLUMN p_grave REAL NOT NULL DEFAULT 1.0")
+                self._db.execute("ALTER TABLE edges ADD COLUMN p_grave REAL")
                 self._db.execute(f"PRAGMA user_version = {_SCHEMA}")
         elif version != _SCHEMA:
             raise GraphStoreError(f"{self.path} has schema {version}, need {_SCHEMA}")
