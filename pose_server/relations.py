@@ -64,17 +64,20 @@ def _weakest(solution: FleetSolution, *nodes: ViewName) -> Verdict:
     return next(verdict for verdict in _WEAKEST_FIRST if verdict in found)
 
 
-def p_grave_of(site: Site, path: tuple[ViewName, ...]) -> float:
+def p_grave_of(site: Site, path: tuple[ViewName, ...]) -> float | None:
     """The probability that one of the links between robots on a way is gravely off, as if each
-    erred for itself; of several between two robots the surest counts.
+    erred for itself; of several between two robots the surest counts. None where nothing is known
+    of one of them.
     """
     assert site.solution is not None
     surest: dict[tuple[str, str], float] = {}
     for key, edge in site.edges.items():
         judged = site.solution.edges.get(key)
-        if judged is not None and judged.weight > 0 and edge.a.robot != edge.b.robot:
+        if judged is not None and judged.weight > 0:
             robots = ordered_pair(edge.a.robot, edge.b.robot)
             surest[robots] = min(surest.get(robots, 1.0), edge.p_grave)
     steps = {ordered_pair(v.robot, w.robot) for v, w in pairwise(path) if v.robot != w.robot}
-    right = np.prod([1.0 - surest.get(step, 1.0) for step in steps])
+    if not steps <= surest.keys():
+        return None
+    right = np.prod([1.0 - surest[step] for step in steps])
     return float(np.clip(1.0 - right, 0.0, 1.0))

@@ -10,6 +10,7 @@ import threading
 import time
 from concurrent.futures import Future
 from contextlib import suppress
+from functools import partial
 
 from pose_server import alarms, anchoring, answers, pipeline, widening
 from pose_server.awaiting import Awaiting, EarlyUpdates
@@ -102,11 +103,10 @@ class Service:
             takeover=self.settings.takeover,
         )
         self._inbox.subscribe(self.link)
-        for key, reply in ((self.keys.relative, answers.relative), (self.keys.why, answers.why)):
-            self.link.queryable(key, lambda asked, reply=reply: self._ask(reply, asked))
-        self.link.queryable(
-            self.keys.server_view, lambda asked: answers.journalled_view(self.journal, asked)
-        )
+        self.link.queryable(self.keys.relative, partial(self._ask, answers.relative))
+        self.link.queryable(self.keys.why, partial(self._ask, answers.why))
+        view = partial(answers.journalled_view, self.journal)
+        self.link.queryable(self.keys.server_view, view)
         self.site.say(f"server {self.epoch} started with {self.settings.workers} workers")
         log.info("serving site=%s epoch=%s", self.settings.site, self.epoch)
         for pair in self.site.book.pairs():

@@ -1,6 +1,6 @@
 """Types of plain fields in messages: what a name, a count or a length in metres may be."""
 
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BeforeValidator, FailFast, Field
 
@@ -16,6 +16,7 @@ def _printable(value: Any) -> Any:
     return one_line(value) if isinstance(value, str) else value
 
 
+Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 Epoch = Annotated[str, Field(pattern=EPOCH_PATTERN)]
 Count = Annotated[int, Field(ge=0, lt=2**63)]

@@ -28,12 +28,13 @@ from protocol.fields import (
     Stamp,
     Text,
 )
+from protocol.fields import Verdict as Verdict
 from protocol.questions import Answer as Answer
 from protocol.questions import Question as Question
 from protocol.questions import Suggestion as Suggestion
+from protocol.replies import RelativePose as RelativePose
+from protocol.replies import WhyNot as WhyNot
 from protocol.view_name import ViewName as ViewName
-
-Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
 
 
 class CameraAnnouncement(Message, frozen=True, schema="fleet.camera_announcement.v1"):
@@ -419,44 +420,6 @@ class ServerStatus(Message, frozen=True, schema="fleet.status.v2", before="fleet
         default={}, description="median of the last times of each stage, server's and workers'"
     )
     picked: Text = Field(default="", description="why the last pair of robots was picked")
-
-
-class RelativePose(
-    Message, frozen=True, schema="fleet.relative_pose.v2", before="fleet.relative_pose.v1"
-):
-    """Reply of `server/relative?from=a;to=b`. v2 says whether it may be acted on; what v1 leaves
-    out counts as no.
-    """
-
-    a: Name
-    b: Name
-    T_a_b: Pose = Field(description="robot body frames")
-    covariance: Matrix6 = Field(
-        description="left perturbation of T_a_b; grown by what either may have moved unseen"
-    )
-    age_s: NonNegative = Field(description="of the older of the two views, by the server's clock")
-    through: Many[Name]
-    verdict: Verdict = Field(
-        default="ambiguous", description="of the weakest link that holds either of them"
-    )
-    located: bool = Field(default=False, description="whether both robots are")
-    p_grave: Probability = Field(
-        default=1.0,
-        description="that it is gravely off: that one of the links on the way is; 1 where nothing "
-        "but clicks links two robots",
-    )
-    why_not: Text = Field(
-        default="", description="why they are not both located, as operators read it"
-    )
-
-
-class WhyNot(Message, frozen=True, schema="fleet.why_not.v1"):
-    """Reply of `server/why?robot=a`: what operators are told of a robot."""
-
-    robot: Name
-    located: bool
-    why_not: Text = Field(description="why it is not located; empty if it is")
-    alarms: Many[Text] = Field(description="what is off at it, each with what to do")
 
 
 MESSAGES: tuple[type[Message], ...] = tuple(Message.__subclasses__())

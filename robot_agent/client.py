@@ -255,7 +255,8 @@ class FleetRobot:
 
         In the answer `T_a_b`, this robot is a. Act on it only if it is `located`: both robots are,
         and their views are fresh; else `why_not` says why, and the covariance has grown by what
-        either may have moved since. `p_grave` is the chance that it is gravely off all the same.
+        either may have moved since. `p_grave` is the chance that it is gravely off all the same,
+        None where nothing is known of that.
 
         Raises:
             UnreachableError: there is no server, or no way to tell; the text says why.

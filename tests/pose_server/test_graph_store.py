@@ -159,7 +159,7 @@ def test_a_file_of_the_first_schema_is_read_and_brought_to_the_second(tmp_path):
     store.close()
     unknown = Graph(
         before.keyframes,
-        {key: replace(e, p_grave=1.0) for key, e in before.edges.items()},
+        {key: replace(e, p_grave=None) for key, e in before.edges.items()},
         before.gauge,
     )
     assert same(read_graph(path), unknown)

@@ -22,7 +22,7 @@ ADDED = {
     "fleet.relative_pose.v1": {
         "verdict": "ambiguous",
         "located": False,
-        "p_grave": 1.0,
+        "p_grave": None,
         "why_not": "",
     },
     "fleet.question.v1": {"suggestions": ()},

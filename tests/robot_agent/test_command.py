@@ -15,6 +15,7 @@ from protocol.codec import unpack
 from protocol.keys import Keys
 from protocol.messages import View
 from protocol.transport import free_port, wait_until
+from tests.robot_agent.test_client import pose_message, pose_publisher, publish
 
 KEYS = Keys("demo")
 
@@ -108,6 +109,37 @@ def test_it_ends_with_the_process_that_started_it(router, link, recording):
         parent.kill()
         parent.communicate()
     assert wait_until(lambda: not link.alive(alive), 5, poll_s=0.1)
+
+
+def read_until(agent, words):
+    """The lines that an agent logs, up to one with these words."""
+    said = []
+    for line in agent.stderr:
+        said.append(line)
+        if words in line:
+            return said
+    raise AssertionError("".join(said))
+
+
+@pytest.mark.timeout(60)
+def test_an_agent_at_a_mistyped_site_says_that_no_server_is_there(start, router, link, recording):
+    link.token(KEYS.server_alive("0" * 12))
+    options = camera_options(recording, "loop")
+    agent = start("--name", "r1", "--connect", router, "--site", "dmeo", *options)
+    said = read_until(agent, "no server at site 'dmeo': is the site name right")
+    assert any("started name=r1" in line for line in said)
+
+
+@pytest.mark.timeout(60)
+def test_an_agent_logs_whether_it_is_located_and_why_not(start, router, link, recording):
+    server = pose_publisher(link)
+    agent = start("--name", "r1", "--connect", router, *camera_options(recording, "loop"))
+    publish(server, pose_message(n=1))
+    read_until(agent, "located name=r1 component=r1")
+    doubt = {"located": False, "why_not": "the links to it contradict each other"}
+    publish(server, pose_message(n=2).model_copy(update=doubt))
+    said = read_until(agent, "not located name=r1 reason=the links to it contradict each other")
+    assert not any("no server" in line for line in said)
 
 
 def test_a_name_in_use_ends_it_with_one_sentence(start, router, link, recording):
