@@ -67,6 +67,18 @@ def test_a_fleet_carried_to_another_hall_gets_a_new_origin_and_the_old_one_back(
     assert all(state_of(site, name, now_s).why_not == "" for name in PLACES)
 
 
+def test_a_robot_that_comes_back_to_the_old_hall_alone_is_found_on_its_map():
+    site = fleet()
+    old = site.gauge
+    move_all(site, OTHER_HALL, LATER, 10.0)
+    pass_time(site, 10.0, OTHER_HALL, LATER)
+    new = site.gauge
+    receive(site, seen("r3", 20, epoch=LATER))
+    assert site.joined(site.robots["r3"].track.newest.view, old) and site.gauge == new
+    assert "sees a place that the fleet has left" in state_of(site, "r3", 20.0).why_not
+    assert not alarms(site) and state_of(site, "r2", 17.0).why_not == ""
+
+
 def test_the_origin_stays_while_one_robot_sees_its_place():
     site = fleet()
     first = site.gauge
@@ -100,6 +112,17 @@ def test_an_anchor_that_nobody_has_seen_is_named():
     assert said in state_of(site, "r1", 1.0).why_not
     assert sum(said in event for event in site.events) == 1
     assert alarms(site) == {("r11", "anchor")}
+
+
+def test_an_anchor_of_an_earlier_time_that_is_not_there_is_given_up():
+    site = site_of()
+    site.anchor = "r11"  # as the journal says; nobody asked for it
+    receive(site, seen("r1", 0), seen("r2", 0))
+    assert state_of(site, "r1", 0.0).why_not
+    for second in range(5):
+        note_anchor(site, float(second))
+    assert state_of(site, "r1", 1.0).why_not == "" and site.anchor == "r1"
+    assert site.gauge_revision == 1 and not alarms(site)
 
 
 def test_a_robot_alone_is_told_that_it_is_alone():
