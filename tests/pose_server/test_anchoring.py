@@ -4,6 +4,8 @@ network and workers.
 
 from dataclasses import replace
 
+import pytest
+
 from pose_server import following, pipeline
 from pose_server.anchoring import PATIENCE_S, note_anchor
 from pose_server.correspondences.journal import Journal
@@ -142,14 +144,17 @@ def test_another_anchor_after_a_restart_raises_the_revision_and_the_same_one_doe
     assert restored_site(journal, Graph()).anchor == "r1"
 
 
-def test_an_old_map_is_not_forgotten_for_the_new_one(monkeypatch):
+@pytest.mark.parametrize("covered", [False, True], ids=["walks", "covered"])
+def test_an_old_map_is_not_forgotten_for_what_is_seen_since(monkeypatch, covered):
+    """New keyframes are all in another component than the first, or each in one of its own."""
     monkeypatch.setattr(following, "MOST_KEYFRAMES", 4)
     site = fleet(("r1", "r2"))
     site.gauge, robot = None, site.robots["r1"]
     (old,) = robot.track.keyframes
     new = [ViewName(robot="r1", epoch=LATER, seq=seq) for seq in range(8)]
-    for view in new:  # all in another component than the first
+    for view in new:
         site.views.keep(replace(site.views[old], name=view))
-        site.solution.nodes[view] = replace(site.solution.nodes[old], root=new[0])
+        root = view if covered else new[0]
+        site.solution.nodes[view] = replace(site.solution.nodes[old], root=root)
         following.new_keyframe(site, robot, view)
     assert robot.track.keyframes == [old, *new[-3:]]
