@@ -178,12 +178,6 @@ class Observer:
         with self._lock:
             return sum(1 for key in self._alive if "/robot/" in key)
 
-    def lives(self) -> list[tuple[str, str]]:
-        """Name and epoch of the robots whose tokens are there."""
-        with self._lock:
-            alive = [key.split("/") for key in self._alive if "/robot/" in key]
-        return [(chunks[-3], chunks[-1]) for chunks in alive]
-
     def server_alive(self) -> bool:
         return bool(self.server_epochs())
 

@@ -62,11 +62,12 @@ def note_anchor(site: "Site", now_s: float) -> None:
     """Moves the origin to where the fleet is once it has left the old one for some seconds, and
     says when the robot that is to be the anchor was never seen.
     """
-    anchoring = site.anchoring
-    anchoring.missing = _missing(site, now_s)
-    fleets = _fleets(site, now_s)
-    origin = None if site.solution is None else site.solution.nodes.get(site.gauge or _NOWHERE)
+    _note_absent(site, now_s)
+    anchoring, fleets = site.anchoring, _fleets(site, now_s)
     elsewhere = {root: names for root, names in fleets.items() if len(names) > 1}
+    origin = None
+    if site.solution is not None and site.gauge is not None:
+        origin = site.solution.nodes.get(site.gauge)
     if origin is None or origin.root in fleets or not elsewhere:
         anchoring.left_s = None
     elif anchoring.left_s is None:
@@ -89,6 +90,11 @@ def why_apart(site: "Site", robot: "Robot") -> str:
         )
     if site.gauge is None:
         return "no two robots are joined by a verified alignment yet, so that there is no fleet yet"
+    if _sees_an_old_place(site, robot):
+        return (
+            "it sees a place that the fleet has left, and is found on the map of it; nothing joins "
+            "that map to where the fleet is now"
+        )
     if robot.name == site.anchor:
         return (
             "it is the anchor, but where it is now nothing joins it to the fleet's origin: where "
@@ -104,29 +110,44 @@ def anchor_alarms(site: "Site") -> tuple[Alarm, ...]:
     return (Alarm(robot=site.anchor, kind="anchor", text=site.anchoring.missing),)
 
 
-_NOWHERE = ViewName(robot="-", epoch="0" * 12, seq=0)
+def _sees_an_old_place(site: "Site", robot: "Robot") -> bool:
+    newest, solution = robot.track.newest, site.solution
+    if newest is None or solution is None:
+        return False
+    return any(solution.joined(newest.keyframe, origin) for origin in site.anchoring.origins)
 
 
-def _missing(site: "Site", now_s: float) -> str:
-    """What to say of an anchor that has no keyframe although other robots have some."""
+def _note_absent(site: "Site", now_s: float) -> None:
+    """An anchor that has no keyframe although other robots have some: the one that was asked for is
+    waited for and named; one of an earlier time is given up.
+    """
     anchoring = site.anchoring
     seen = sorted(name for name, robot in site.robots.items() if robot.track.keyframes)
     if site.anchor is None or site.anchor in seen or not seen:
-        anchoring.waits_s = None
-        return ""
+        anchoring.waits_s, anchoring.missing = None, ""
+        return
     anchoring.waits_s = now_s if anchoring.waits_s is None else anchoring.waits_s
     if now_s - anchoring.waits_s < PATIENCE_S / 2:  # it may come as the others did
-        return ""
-    what = f"no robot called {site.anchor} has been seen"
-    if site.anchor in site.robots:
-        what = f"no view of {site.anchor} has arrived"
-    text = (
+        return
+    if site.anchor != anchoring.asked:
+        site.say(
+            f"{site.anchor} was the anchor before and is not there: the fleet gets another one"
+        )
+        site.anchor, site.dirty = None, True
+        site.gauge_revision += 1
+    elif not anchoring.missing:
+        anchoring.missing = _missing_text(site, site.anchor, seen)
+        site.say(anchoring.missing)
+
+
+def _missing_text(site: "Site", anchor: str, seen: Sequence[str]) -> str:
+    what = f"no robot called {anchor} has been seen"
+    if anchor in site.robots:
+        what = f"no view of {anchor} has arrived"
+    return (
         f"{what}, and it is to be the anchor; known: {', '.join(seen)}. The fleet waits for it: "
         "start it, or start the server with another --anchor"
     )
-    if not anchoring.missing:
-        site.say(text)
-    return text
 
 
 def _fleets(site: "Site", now_s: float) -> dict[ViewName, list[str]]:

@@ -126,22 +126,18 @@ def wheels_disagree(site: "Site", robot: "Robot", here: Attached) -> bool:
     Args:
         here: the robot's newest view, where its pixels put it.
     """
-    kept, standstills = site.views[here.view], site.doubts.standstills
-    stood = standstills.get(robot.name)
+    kept, stood = site.views[here.view], site.doubts.standstills.get(robot.name)
     moment = site.odometers.at(here.view, kept.stamp_ns)
     if stood is None:
         before = None if moment is None else _a_while_before(site, robot, here)
         if before is None or not _contradict(kept, before, here, moment):
             return False
-        standstills[robot.name] = Standstill(*before, kept.received_s)
+        site.doubts.standstills[robot.name] = Standstill(*before, kept.received_s)
         return True
     if stood.at.view.epoch != here.view.epoch:
         moment = None  # odometry of another life has another frame
-    named = robot.name in site.doubts.standing
-    unclear = moment is None and not named  # its odometry fell silent
-    agreed = moment is not None and not _contradict(kept, (stood.at, stood.moment), here, moment)
-    if unclear or agreed or _shown(stood.at, here, kept.median_depth_m) > _STILL:
-        del standstills[robot.name]
+    if _is_over(site, stood, here, moment):
+        del site.doubts.standstills[robot.name]
         _believe(site, robot.name, ("still",), "is seen to move as its odometry says")
         return False
     if moment is not None and kept.received_s - stood.since_s >= _CONFIRMED_S:
@@ -204,6 +200,16 @@ def _believe(site: "Site", name: str, kinds: Collection[Kind], why: str) -> None
         del site.doubts.standing[name]
         site.touched.add(name)
         site.say(f"{name} {why}")
+
+
+def _is_over(site: "Site", stood: Standstill, here: Attached, moment: Moment | None) -> bool:
+    """Whether pixels and odometry agree again, or too little was heard to say that they do not."""
+    kept = site.views[here.view]
+    if _shown(stood.at, here, kept.median_depth_m) > _STILL:
+        return True
+    if moment is None:
+        return here.view.robot not in site.doubts.standing
+    return not _contradict(kept, (stood.at, stood.moment), here, moment)
 
 
 def _a_while_before(site: "Site", robot: "Robot", here: Attached) -> tuple[Attached, Moment] | None:

@@ -272,7 +272,7 @@ def _drop_keyframe(site: Site, robot: Robot) -> None:
     clicked = {site.attached(view) for view in site.book.views()}
     kept = {here.keyframe for here in clicked if here is not None}
     kept |= {site.gauge, robot.track.reference, *site.anchoring.origins}
-    oldest = next((view for view in _thickest(site, robot) if view not in kept), None)
+    oldest = next((view for view in _spare(site, robot) if view not in kept), None)
     if oldest is None:
         return
     robot.track.forget({oldest})
@@ -285,14 +285,21 @@ def _drop_keyframe(site: Site, robot: Robot) -> None:
         record.searched = _without(oldest, record.searched)
 
 
-def _thickest(site: Site, robot: Robot) -> list[ViewName]:
-    """A robot's keyframes, those of the component first that has most of them: a map of where it
-    was before is not forgotten for one of where it is.
+def _spare(site: Site, robot: Robot) -> list[ViewName]:
+    """A robot's keyframes, those first that can be spared most: what hangs on nothing, as seen by a
+    covered camera; then of the component that has most of them, since a map of where the robot was
+    before is not forgotten for one of where it is.
     """
     nodes = {} if site.solution is None else site.solution.nodes
-    roots = {view: nodes[view].root if view in nodes else None for view in robot.track.keyframes}
-    count = Counter(roots.values())
-    return sorted(robot.track.keyframes, key=lambda view: -count[roots[view]])
+    keyframes = robot.track.keyframes
+    roots = {view: nodes[view].root for view in keyframes if view in nodes}
+    own, anybodys = Counter(roots.values()), Counter(node.root for node in nodes.values())
+
+    def worth(view: ViewName) -> tuple[bool, int]:
+        root = roots.get(view, view)
+        return anybodys[root] != 1, -own[root]
+
+    return sorted(keyframes, key=worth)
 
 
 V = TypeVar("V")

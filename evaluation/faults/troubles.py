@@ -162,7 +162,10 @@ class Leave(Trouble):
 
 
 class CarriedOne(Trouble):
-    """A robot is switched off, carried to another place, switched on there, and carried back so."""
+    """A robot is switched off, carried to another place, switched on there, and carried back so.
+
+    It begins with the first view from there.
+    """
 
     ends = True
     _lives: tuple[tuple[str, str], ...] = ()
@@ -178,30 +181,26 @@ class CarriedOne(Trouble):
         return LifeTruth(self.plan.truth, self.scratch / "truth", dict(self._lives))
 
     def _restart(self, place: str) -> None:
+        before = _seen_lives(self.observer)
         self.fleet.stop(FAULTY)
         robot = next(robot for robot in self.plan.robots if robot.name == FAULTY)
-        before = {life for _, life in self.observer.lives()}
         start_robot(self.fleet, self.elsewhere(robot, place))
-        _wait(self.fleet, lambda: bool(self._new(before)), "the robot that was carried")
-        self._lives = (*self._lives, *((life, place) for life in self._new(before)))
-
-    def _new(self, before: set[str]) -> list[str]:
-        return [
-            life for name, life in self.observer.lives() if name == FAULTY and life not in before
-        ]
+        new = _new_lives(self.fleet, self.observer, before)
+        self._lives = (*self._lives, *((life, place) for life in new))
 
 
 class Carried(Trouble):
-    """The whole fleet is switched off, carried to another hall, and switched on there."""
+    """The whole fleet is switched off, carried to another hall, and switched on there. It begins
+    with the first view from there.
+    """
 
     _there: FleetPlan | None = None
     _before: frozenset[str] = frozenset()
 
     def begin(self) -> None:
-        self._before = frozenset(life for _, life in self.observer.lives())
-        for robot in self.plan.robots:
-            self.fleet.stop(robot.name)
-        self.fleet.stop("world")
+        self._before = _seen_lives(self.observer)
+        for name in (*self.plan.names, "world"):
+            self.fleet.stop(name)
         folder = self.scratch / "there"
         folder.mkdir()
         places = [f"r{k + 1}" for k in range(places_for(len(self.plan.robots)))]
@@ -209,19 +208,15 @@ class Carried(Trouble):
         self.fleet.start("other world", "evaluation", *there.world)
         assert isinstance(there.truth, WorldTruth)
         _wait(self.fleet, there.truth.is_there, "the other world")
-        robots = there.robots[: len(self.plan.robots)]
-        for robot in robots:
+        for robot in there.robots[: len(self.plan.robots)]:
             start_robot(self.fleet, robot)
-        _wait(self.fleet, lambda: len(self._alive_there()) == len(robots), "the fleet that moved")
+        _new_lives(self.fleet, self.observer, self._before)
 
     @property
     def truth(self) -> Truth:
         if self._there is None:
             return self.plan.truth
         return TwoHalls(self.plan.truth, self._there.truth, self._before)
-
-    def _alive_there(self) -> set[str]:
-        return {name for name, life in self.observer.lives() if life not in self._before}
 
 
 class OldEpoch(Trouble):
@@ -341,6 +336,17 @@ def _forged(pose: RobotPose) -> RobotPose:
         "valid_until_ns": pose.valid_until_ns + 3600 * 10**9,
     }
     return pose.model_copy(update=update)
+
+
+def _seen_lives(observer: Observer) -> frozenset[str]:
+    """Epochs of which a view has arrived last."""
+    return frozenset(seen.view.name.epoch for seen in observer.newest_views())
+
+
+def _new_lives(fleet: LocalFleet, observer: Observer, before: frozenset[str]) -> frozenset[str]:
+    """Waits for a view of a life that was not there before; those lives."""
+    _wait(fleet, lambda: bool(_seen_lives(observer) - before), "a view from elsewhere")
+    return _seen_lives(observer) - before
 
 
 def _wait(fleet: LocalFleet, condition: Callable[[], bool], what: str) -> None:

@@ -4,6 +4,8 @@ network and workers.
 
 from dataclasses import replace
 
+import pytest
+
 from pose_server import following, pipeline
 from pose_server.anchoring import PATIENCE_S, note_anchor
 from pose_server.correspondences.journal import Journal
@@ -67,6 +69,18 @@ def test_a_fleet_carried_to_another_hall_gets_a_new_origin_and_the_old_one_back(
     assert all(state_of(site, name, now_s).why_not == "" for name in PLACES)
 
 
+def test_a_robot_that_comes_back_to_the_old_hall_alone_is_found_on_its_map():
+    site = fleet()
+    old = site.gauge
+    move_all(site, OTHER_HALL, LATER, 10.0)
+    pass_time(site, 10.0, OTHER_HALL, LATER)
+    new = site.gauge
+    receive(site, seen("r3", 20, epoch=LATER))
+    assert site.joined(site.robots["r3"].track.newest.view, old) and site.gauge == new
+    assert "sees a place that the fleet has left" in state_of(site, "r3", 20.0).why_not
+    assert not alarms(site) and state_of(site, "r2", 17.0).why_not == ""
+
+
 def test_the_origin_stays_while_one_robot_sees_its_place():
     site = fleet()
     first = site.gauge
@@ -102,6 +116,17 @@ def test_an_anchor_that_nobody_has_seen_is_named():
     assert alarms(site) == {("r11", "anchor")}
 
 
+def test_an_anchor_of_an_earlier_time_that_is_not_there_is_given_up():
+    site = site_of()
+    site.anchor = "r11"  # as the journal says; nobody asked for it
+    receive(site, seen("r1", 0), seen("r2", 0))
+    assert state_of(site, "r1", 0.0).why_not
+    for second in range(5):
+        note_anchor(site, float(second))
+    assert state_of(site, "r1", 1.0).why_not == "" and site.anchor == "r1"
+    assert site.gauge_revision == 1 and not alarms(site)
+
+
 def test_a_robot_alone_is_told_that_it_is_alone():
     site = site_of()
     receive(site, seen("r1", 0))
@@ -119,14 +144,17 @@ def test_another_anchor_after_a_restart_raises_the_revision_and_the_same_one_doe
     assert restored_site(journal, Graph()).anchor == "r1"
 
 
-def test_an_old_map_is_not_forgotten_for_the_new_one(monkeypatch):
+@pytest.mark.parametrize("covered", [False, True], ids=["walks", "covered"])
+def test_an_old_map_is_not_forgotten_for_what_is_seen_since(monkeypatch, covered):
+    """New keyframes are all in another component than the first, or each in one of its own."""
     monkeypatch.setattr(following, "MOST_KEYFRAMES", 4)
     site = fleet(("r1", "r2"))
     site.gauge, robot = None, site.robots["r1"]
     (old,) = robot.track.keyframes
     new = [ViewName(robot="r1", epoch=LATER, seq=seq) for seq in range(8)]
-    for view in new:  # all in another component than the first
+    for view in new:
         site.views.keep(replace(site.views[old], name=view))
-        site.solution.nodes[view] = replace(site.solution.nodes[old], root=new[0])
+        root = view if covered else new[0]
+        site.solution.nodes[view] = replace(site.solution.nodes[old], root=root)
         following.new_keyframe(site, robot, view)
     assert robot.track.keyframes == [old, *new[-3:]]
