@@ -23,6 +23,7 @@ from evaluation.report import (
     write_summary,
 )
 from evaluation.scoring import CHI2_6_95, Limits, percentile, share, trimmed_nees_per_dof
+from evaluation.splits import split_of
 
 ANGLE_BINS_DEG = ((0, 20), (20, 40), (40, 60), (60, 90), (90, 180))
 SUCCESS_BINS = ((0.1, 0.2), (0.2, 0.3), (0.3, 0.4), (0.4, 0.5), (0.5, 1.0))
@@ -47,7 +48,10 @@ def write_results(
 ) -> dict[str, Any]:
     """Writes poses.csv, pairs.csv, summary.json, the plots and report.html; prints the tables."""
     write_tables(out, rows)
-    summary = summarize(rows, median_depth_m, view_ms, recording.is_rgbd)
+    summary = {
+        "split": split_of(recording.directory),
+        **summarize(rows, median_depth_m, view_ms, recording.is_rgbd),
+    }
     write_summary(out, summary)
     plots = plot_all(out, rows, median_depth_m)
     write_html(out / "report.html", recording, rows, summary, plots)

@@ -38,6 +38,7 @@ from evaluation.offline.fleet import scored as scored_offline
 from evaluation.report import output_folder, progress_bar
 from evaluation.restarts_report import PoseRow, scored, write_results
 from evaluation.scoring import RGBD_REFERENCE_SIGMA_M, Limits
+from evaluation.splits import split_of
 from evaluation.working import as_done, on_the_wire, worker_pool
 from protocol.errors import DataFolderError
 from protocol.keys import Keys
@@ -123,6 +124,7 @@ def _about(recording: Recording | None, options: RestartsOptions) -> dict[str, A
     rgbd = recording is not None and recording.is_rgbd
     return {
         "set": WORLD if recording is None else recording.directory.name,
+        "split": "held out" if recording is None else split_of(recording.directory),
         "clouds": None if recording is None else recording.clouds,
         "restarts": options.restarts,
         "robots": options.robots,

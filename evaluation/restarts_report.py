@@ -100,7 +100,7 @@ def write_results(
     write_csv(out / "poses.csv", COLUMNS, cells)
     write_summary(out, summary)
     plot_nees(out / "nees.png", named)
-    shown = {"set": "", "poses": "poses", "coverage_95": "in 95 %",
+    shown = {"set": "", "split": "", "poses": "poses", "coverage_95": "in 95 %",
              "nees_per_dof_median": "NEES median", "nees_per_dof": "mean",
              "grave_located": "grave"}  # fmt: skip
     table = [[one[key] for key in shown] for one in sets]

@@ -179,7 +179,8 @@ def _explained(server: OfflineServer) -> tuple[float, ...]:
 
 def explained_of(result: "PairResult") -> float | None:
     """The explained share of an alignment; none where its evidence has none."""
-    return getattr(result.evidence, "explained", None)
+    explained = getattr(result.evidence, "explained", None)
+    return None if explained is None else float(explained.share)
 
 
 def remembering(folder: Path) -> Callable[["Job"], "PairResult"]:

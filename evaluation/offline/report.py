@@ -10,6 +10,7 @@ import numpy as np
 from evaluation.offline.fleet import Fleet, Placed
 from evaluation.report import write_csv, write_summary
 from evaluation.scoring import share
+from evaluation.splits import split_of
 
 COLUMNS = ("data", *(field.name for field in fields(Placed)))
 
@@ -74,7 +75,9 @@ def write_results(out: Path, found: Sequence[tuple[Path, list[Fleet]]]) -> dict[
         for fleet in fleets
         for robot in fleet.robots
     ]
-    lines = [{"data": str(data), **summarize(fleets)} for data, fleets in found]
+    lines = [
+        {"data": str(data), "split": split_of(data), **summarize(fleets)} for data, fleets in found
+    ]
     summary = {
         **summarize([fleet for _, fleets in found for fleet in fleets]),
         "folders": worst_first(lines),
@@ -83,7 +86,7 @@ def write_results(out: Path, found: Sequence[tuple[Path, list[Fleet]]]) -> dict[
     write_summary(out, summary)
     write_csv(out / "robots.csv", COLUMNS, rows)
     for line in summary["folders"]:
-        print(line_of(Path(line["data"]).name, line))
+        print(line_of(f"{Path(line['data']).name} ({line['split']})", line))
     if len(lines) > 1:
         print(line_of("all", summary))
     for one in summary["grave"]:

@@ -11,6 +11,7 @@ from evaluation.questions.policies import POLICIES
 from evaluation.questions.report import write_results
 from evaluation.report import output_folder, progress_bar
 from evaluation.scoring import Limits
+from evaluation.splits import split_of
 from evaluation.working import as_done, on_the_wire, worker_pool
 from protocol.errors import DataFolderError
 
@@ -54,4 +55,5 @@ def run(options: QuestionsOptions, out: Path) -> dict[str, Any]:
             f"{recording.directory}: no draw of its views is a fleet that needs an operator and "
             "can be joined by one"
         )
-    return write_results(out, [found[seed] for seed in sorted(found)], list(POLICIES))
+    played = [found[seed] for seed in sorted(found)]
+    return write_results(out, played, list(POLICIES), split_of(recording.directory))

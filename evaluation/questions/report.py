@@ -11,6 +11,7 @@ from evaluation.intervals import DRAWS, LEVEL
 from evaluation.questions.play import Played, Run
 from evaluation.report import new_figure, print_table, write_csv, write_summary
 from evaluation.scoring import share
+from evaluation.splits import Split
 
 Floats = npt.NDArray[np.floating]
 
@@ -100,11 +101,13 @@ def _clicks(played: Sequence[Played], policy: str) -> Floats:
     return np.array([r.clicks for one in played for r in one.runs if r.policy == policy], float)
 
 
-def write_results(out: Path, played: Sequence[Played], policies: Sequence[str]) -> dict[str, Any]:
+def write_results(
+    out: Path, played: Sequence[Played], policies: Sequence[str], split: Split
+) -> dict[str, Any]:
     """Writes runs.csv, summary.json and clicks.png; prints and returns the summary."""
     runs = [run for one in played for run in one.runs]
     write_csv(out / "runs.csv", COLUMNS, (_cells(run) for run in runs))
-    summary = summarize(played, policies)
+    summary = {"split": split, **summarize(played, policies)}
     write_summary(out, summary)
     _plot(out / "clicks.png", played, policies)
     rows = [(key, *_short(value)) for key, value in summary.items()]

@@ -125,7 +125,7 @@ def test_rings_have_regular_angles_and_close_where_the_views_do(tmp_path):
     by_separation = rings_of(open_recording(tmp_path / "arc", "sparse"))
     assert [rings[0].separation_deg for rings in by_separation] == [10, 20, 30]
     assert [len(rings[0].pairs) for rings in by_separation] == [3, 1, 1]
-    write_posed_views(tmp_path / "ring", count=36)
+    write_posed_views(tmp_path / "ring", count=36, points=1000)
     closed = rings_of(open_recording(tmp_path / "ring", "sparse"))
     pairs = closed[3][0].pairs  # at 40 degrees
     assert len(pairs) == len(closed[3][0].views) == 9

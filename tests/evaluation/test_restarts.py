@@ -65,7 +65,7 @@ def test_noise_of_the_reference_is_no_error_of_the_covariance():
 
 
 def test_the_worst_set_comes_first_and_none_is_left_out(tmp_path, capsys):
-    about = {"restarts": 20, "robots": 5, "reference_sigma_m": 0.0}
+    about = {"restarts": 20, "robots": 5, "reference_sigma_m": 0.0, "split": "held out"}
     sets = {"right": 1.0, "far too sure": 0.1, "careful": 10.0}
     found = [({"set": name, **about}, rows_of(20, 5, stated)) for name, stated in sets.items()]
     summary = write_results(tmp_path, found)
