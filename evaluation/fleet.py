@@ -87,6 +87,7 @@ class FleetOptions:
     seed: int = 0
     world: str | None = None  # a plan that fools, instead of the town square
     unique: int = 0
+    mistakes: float = 0.0  # share of the questions that the operator answers wrongly
 
 
 @dataclass
@@ -158,7 +159,15 @@ def _operator(
         errands = dict.fromkeys(pairs, options.clicks_on_skipped)
         return SimulatedOperator(link, keys, observer, plan.truth, ERRAND_RATE, errands=errands)
     if options.clicks_per_minute > 0:
-        return SimulatedOperator(link, keys, observer, plan.truth, options.clicks_per_minute)
+        return SimulatedOperator(
+            link,
+            keys,
+            observer,
+            plan.truth,
+            options.clicks_per_minute,
+            seed=options.seed,
+            mistakes=options.mistakes,
+        )
     return None
 
 
