@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from evaluation import live
-from evaluation.options import Clouds, Data, Out, Unique, World
+from evaluation.options import Clouds, Data, Mistakes, Out, Unique, World
 from evaluation.options import numbers as _numbers
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, rich_markup_mode=None)
@@ -268,18 +268,21 @@ def questions(
     seeds: Annotated[int, typer.Option(min=1, help="Fleets, each drawn by a seed.")] = 20,
     first: Annotated[int, typer.Option(min=0, help="The first seed.")] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    mistakes: Mistakes = 0.0,
 ) -> None:
     """Count clicks until the whole fleet is located and right: by the server's questions, by the
     paper's rule (the largest error of the matrix first), by chance, and at least.
 
     Each seed draws 8 to 12 views as robots that fall into several parts after all pairs were
     aligned automatically, or that are joined wrongly. A simulated operator clicks three points per
-    question, 1.5 px off; two images with too little in common cost two clicks. Writes runs.csv,
-    summary.json and clicks.png.
+    question, 1.5 px off; two images with too little in common cost two clicks. With --mistakes some
+    questions are answered by the next window, one step along, left for right, or by one such point
+    among right ones. Writes runs.csv, summary.json and clicks.png.
     """
     from evaluation.questions.command import QuestionsOptions, run
 
-    options = QuestionsOptions(data, clouds.value if clouds else None, seeds, first, workers)
+    kind = clouds.value if clouds else None
+    options = QuestionsOptions(data, kind, seeds, first, workers, mistakes)
     run(options, out)
 
 

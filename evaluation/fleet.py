@@ -91,6 +91,7 @@ class FleetOptions:
     world: str | None = None  # a plan that fools, instead of the town square
     unique: int = 0
     views: tuple[int, ...] = ()  # one robot stands at each of these; `robots` is their number then
+    mistakes: float = 0.0  # share of the questions that the operator answers wrongly
 
 
 @dataclass
@@ -167,7 +168,15 @@ def _operator(
         errands = dict.fromkeys(pairs, options.clicks_on_skipped)
         return SimulatedOperator(link, keys, observer, plan.truth, ERRAND_RATE, errands=errands)
     if options.clicks_per_minute > 0:
-        return SimulatedOperator(link, keys, observer, plan.truth, options.clicks_per_minute)
+        return SimulatedOperator(
+            link,
+            keys,
+            observer,
+            plan.truth,
+            options.clicks_per_minute,
+            seed=options.seed,
+            mistakes=options.mistakes,
+        )
     return None
 
 

@@ -85,6 +85,7 @@ def summarize(result: FleetResult) -> dict[str, Any]:
         "first_solution_s": first_time_located(counts, min(2, robots), since_s),
         "all_located_s": first_time_located(counts, robots, since_s),
         "clicks": 0 if operator is None else operator.clicks,
+        "clicks_wrong": 0 if operator is None else operator.wrong_clicks,
         "clicks_rejected": 0 if operator is None else len(operator.rejected),
         **latencies(
             [] if operator is None else operator.click_to_pose_s,

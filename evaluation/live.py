@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from evaluation.options import Clouds, Out, Unique, World, numbers, only_one
+from evaluation.options import Clouds, Mistakes, Out, Unique, World, numbers, only_one
 
 app = typer.Typer()
 
@@ -44,7 +44,8 @@ def fleet(
     moving: Annotated[bool, typer.Option("--moving", help="Synthetic robots walk.")] = False,
     world: World = None,
     unique: Unique = 0,
-    seed: Annotated[int, typer.Option(help="Of the synthetic world.")] = 0,
+    seed: Annotated[int, typer.Option(help="Of the synthetic world and the operator.")] = 0,
+    mistakes: Mistakes = 0.0,
 ) -> None:
     """Run a live fleet on a recording or in the synthetic world and score its poses.
 
@@ -79,6 +80,7 @@ def fleet(
         seed=seed,
         world=world.value if world else None,
         unique=unique,
+        mistakes=mistakes,
     )
     run(options, out)
 

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluation.geometry import Floats, inverse, transform
+from evaluation.mistakes import mistaken, sight_of
 from evaluation.observer import Observer, SeenView
 from hmi_client.outbox import Outbox
 from protocol import codec
@@ -24,6 +25,8 @@ CLICK_SIGMA_PX = 1.5
 REPEAT_S = 1.0
 ERRAND_POINTS = 200  # that two views have in common, for an errand to be worth while
 FINISH_S = 10.0  # that a run waits for its last clicks
+PICKS_LOOKED_AT = 60  # far apart, from which a wrong answer is made
+Size = tuple[int, int]
 _VISIBLE_TOLERANCE_M = 0.02
 _VISIBLE_TOLERANCE_PER_Z = 0.02
 
@@ -74,6 +77,39 @@ def by_depth(
     return uv_i[near][visible], projected[near][visible]
 
 
+def by_depth_images(
+    uv_i: Floats, depth_i: Floats, depth_j: Floats, K_i: Floats, K_j: Floats, T_j_i: Floats
+) -> tuple[Floats, Floats]:
+    """Pixels (N, 2) of both views, of those pixels of view i that view j sees at the true pose.
+
+    Args:
+        uv_i: (M, 2) pixels of view i.
+        depth_i, depth_j: (H, W) metres, nan where there is none.
+        K_i, K_j: (3, 3) px.
+        T_j_i: (4, 4) true pose.
+    """
+    z = _at(depth_i, uv_i)
+    rays = np.column_stack((uv_i, np.ones(len(uv_i)))) @ np.linalg.inv(K_i).T
+    moved = transform(T_j_i, rays * z[:, None])
+    front = moved[:, 2] > 0  # not where there is no depth
+    moved, uv_i = moved[front], uv_i[front]
+    uv_j = (moved @ K_j.T)[:, :2] / moved[:, 2:]
+    seen_z = _at(depth_j, uv_j)
+    tolerance = _VISIBLE_TOLERANCE_M + _VISIBLE_TOLERANCE_PER_Z * seen_z
+    visible = np.abs(moved[:, 2] - seen_z) < tolerance
+    return uv_i[visible], uv_j[visible]
+
+
+def _at(depth: Floats, uv: Floats) -> Floats:
+    """(N,) the depths at pixels (N, 2); nan outside."""
+    columns, rows = np.rint(uv).astype(int).T
+    height, width = depth.shape
+    inside = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
+    z = np.full(len(uv), np.nan)
+    z[inside] = depth[rows[inside], columns[inside]]
+    return z
+
+
 def by_view_depth(i: View, j: View, T_i_j: Floats, points: int = 4000) -> tuple[Floats, Floats]:
     """Like `by_depth`, from the clouds that two robots sent; of view i so many points are tried."""
     from protocol.clouds import points_of
@@ -99,7 +135,7 @@ def draw_clicks(
     pixels: tuple[Floats, Floats],
     count: int,
     rng: np.random.Generator,
-    sizes: tuple[tuple[int, int], tuple[int, int]],
+    sizes: tuple[Size, Size],
     sigma_px: float = CLICK_SIGMA_PX,
 ) -> list[Click]:
     """Picks correspondences far apart and adds a hand's noise; clicks stay within the images.
@@ -111,14 +147,24 @@ def draw_clicks(
         sizes: width and height of both images.
         sigma_px: of the noise, in each direction of each image.
     """
-    uv_i, uv_j = pixels
-    if not len(uv_i):
+    if not len(pixels[0]):
         return []
+    chosen = far_apart(pixels[0], count, rng)
+    return by_hand((pixels[0][chosen], pixels[1][chosen]), rng, sizes, sigma_px)
+
+
+def by_hand(
+    pixels: tuple[Floats, Floats],
+    rng: np.random.Generator,
+    sizes: tuple[Size, Size],
+    sigma_px: float = CLICK_SIGMA_PX,
+) -> list[Click]:
+    """Clicks on pixels (N, 2) of two views with a hand's noise; they stay within the images."""
     clicks = []
-    for k in far_apart(uv_i, count, rng):
+    for both in zip(*pixels, strict=True):
         noisy = [
-            np.clip(uv[k] + rng.normal(0.0, sigma_px, 2), 0.0, np.subtract(size, 1.0))
-            for uv, size in zip((uv_i, uv_j), sizes, strict=True)
+            np.clip(uv + rng.normal(0.0, sigma_px, 2), 0.0, np.subtract(size, 1.0))
+            for uv, size in zip(both, sizes, strict=True)
         ]
         clicks.append(Click(noisy[0], noisy[1]))
     return clicks
@@ -147,6 +193,7 @@ class SimulatedOperator:
         clicks_per_minute: how fast it clicks.
         only_asked: click nothing that the server did not ask for.
         errands: click so many points on each of these pairs (i < j) and nothing else.
+        mistakes: share of the questions that it answers wrongly, as people do.
     """
 
     def __init__(
@@ -159,6 +206,7 @@ class SimulatedOperator:
         only_asked: bool = False,
         seed: int = 0,
         errands: Mapping[tuple[str, ...], int] | None = None,
+        mistakes: float = 0.0,
     ) -> None:
         self._observer, self._eyes = observer, eyes
         self._period_s = 60.0 / clicks_per_minute
@@ -166,6 +214,7 @@ class SimulatedOperator:
         self._errands = None if errands is None else Counter(dict(errands))
         self._rng = np.random.default_rng(seed)
         self._chance = random.Random(seed)
+        self._mistakes = mistakes
         self._outbox = Outbox("op-simulated")
         self._publisher = link.latched(keys.updates(self._outbox.operator), block=True, history=10)
         self._receipts: tuple[float, Receipts] | None = None
@@ -175,6 +224,8 @@ class SimulatedOperator:
         self._stop = threading.Event()
         self._clicking = True
         self.clicks = 0
+        self.wrong_clicks = 0
+        self.answers: Counter[str] = Counter()  # right, or the kind of mistake
         self.rejected: list[str] = []
         self.click_to_pose_s: list[float] = []
         self._thread = threading.Thread(target=self._run, name="operator", daemon=True)
@@ -252,12 +303,27 @@ class SimulatedOperator:
             seen = self._eyes.correspondences(i, j)
             if self._errands is not None and len(seen[0]) < ERRAND_POINTS:
                 continue  # they will see more of the same
-            clicks = draw_clicks(seen, most, self._rng, (sizes[0], sizes[1]))
+            clicks = self._answer(seen, j.view, most, (sizes[0], sizes[1]))
             if clicks:
                 if self._errands is not None:
                     self._errands[pair] -= len(clicks)
                 return [(i, j, click) for click in clicks]
         return []
+
+    def _answer(
+        self, true: tuple[Floats, Floats], j: View, count: int, sizes: tuple[Size, Size]
+    ) -> list[Click]:
+        """Clicks for a question; wrong ones in the share of mistakes, where one can be made."""
+        if self._mistakes and len(true[0]) and self._rng.uniform() < self._mistakes:
+            order = far_apart(true[0], PICKS_LOOKED_AT, self._rng)
+            spoilt = mistaken((true[0][order], true[1][order]), sight_of(j), count, self._rng)
+            if spoilt is not None:
+                self.answers[spoilt.kind] += 1
+                self.wrong_clicks += int(spoilt.wrong.sum())
+                return by_hand(spoilt.pixels, self._rng, sizes)
+        clicks = draw_clicks(true, count, self._rng, sizes)
+        self.answers["right"] += bool(clicks)
+        return clicks
 
     def _candidates(self) -> Sequence[tuple[SeenView, SeenView]]:
         state = self._observer.state

@@ -44,6 +44,10 @@ World = Annotated[
 Unique = Annotated[
     int, typer.Option(min=0, help="Things in it that are like no other: posters, carts, statues.")
 ]
+Mistakes = Annotated[
+    float,
+    typer.Option(min=0, max=1, help="Share of questions answered wrongly, as people do."),
+]
 
 
 def numbers(option: str, text: str, count: int | None = None) -> list[int]:

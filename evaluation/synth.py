@@ -16,7 +16,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from evaluation.datasets import DEPTH_UNIT_M
 from evaluation.geometry import Floats, inverse, transform
+from evaluation.interaction.truth import DEPTH_FOLDER
 from evaluation.report import output_folder, progress_bar
 from evaluation.working import as_done, worker_pool
 from evaluation.world import PLANS, PlanWorld, RingWorld, World
@@ -29,6 +31,7 @@ NOISY_PIXEL_SIGMA_PX = 0.7
 NOISY_DISPARITY_SIGMA_PX = 0.5
 NOISY_BASELINE_SHARE = 0.05
 _RING_ROBOTS = (8, 72)
+_FARTHEST_M = 65.0
 _CORNERS_IN_ALL, _CORNERS_PER_VIEW = 24_000, (300, 2500)
 _CORNER_DISTANCE_PX = 4
 _SAME_DEPTH = 0.02  # share of z: a point is seen if the surface there is as near as this
@@ -44,6 +47,7 @@ _PLAN = """Made by `pose-eval synth --world {plan} --unique {unique} --robots {r
 _SOURCE = """cameras.json: x_cam = R_world_to_cam X_world + t_world_to_cam, exact; OpenCV axes; metres;
 integer pixel = pixel centre.
 images/: left eye, 2x2 samples per pixel, noise of 1.5 grey levels, exposures differ by some %.
+depth/: the renderer's exact depth of every pixel, 16-bit PNG, millimetres, 0 in the sky.
 sparse/: corners of all images, placed by the renderer's exact depth, in every view that sees them
 (track_id in common, exact pixels and points: identical in all views); alike places have other ids.
 sparse_noisy/: the same as a rig with a baseline of 5 % of the median depth would measure them:
@@ -125,7 +129,14 @@ def run(out: Path, options: SynthOptions, workers: int = 2) -> None:
         raise FleetPoseError(f"--out {out} holds posed views already; name a new folder")
     options.check()
     robots = options.robots
-    for kind in ("images", "sparse", "sparse_noisy", "stereo_dense", "stereo_pair_sparse"):
+    for kind in (
+        "images",
+        DEPTH_FOLDER,
+        "sparse",
+        "sparse_noisy",
+        "stereo_dense",
+        "stereo_pair_sparse",
+    ):
         output_folder(out / kind)
     with worker_pool(workers) as pool, progress_bar() as progress:
         bar = progress.add_task("views", total=2 * robots)
@@ -161,6 +172,7 @@ def _look(out: Path, options: SynthOptions, k: int) -> _Seen:
     for kind, (uv, z) in (("stereo_dense", dense), ("stereo_pair_sparse", sparse)):
         _write_cloud(out / kind, camera, frame.image, uv, _lifted(uv, z, frame.model.K))
     depth = world.scene.depth(T_world_camera, frame.model.K, (camera["width"], camera["height"]))
+    _write_depth(out / DEPTH_FOLDER / camera["name"], depth)
     corners = _corners(frame.image, depth, _per_view(options.robots))
     points = transform(T_world_camera, _lifted(*corners, frame.model.K))
     baseline_m = matcher.rectifier.baseline_m
@@ -241,6 +253,13 @@ def _corners(
     uv = np.rint(np.asarray(found, np.float64).reshape(-1, 2))
     z = depth[uv[:, 1].astype(int), uv[:, 0].astype(int)].astype(np.float64)
     return uv[np.isfinite(z)], z[np.isfinite(z)]
+
+
+def _write_depth(path: Path, depth: npt.NDArray[np.float32]) -> None:
+    """Depths beyond what 16 bits of millimetres hold are left out, as in the sky."""
+    there = np.isfinite(depth) & (depth < _FARTHEST_M)
+    raw = np.where(there, np.rint(np.where(there, depth, 0.0) / DEPTH_UNIT_M), 0)
+    cv2.imwrite(str(path), raw.astype(np.uint16))
 
 
 def _per_view(robots: int) -> int:

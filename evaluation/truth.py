@@ -11,8 +11,9 @@ import numpy as np
 
 from evaluation.datasets import Recording, TrueView, median_depth_m
 from evaluation.geometry import Floats, inverse
+from evaluation.interaction.truth import true_pixels
 from evaluation.observer import SeenView, digest_of
-from evaluation.operator import by_tracks, by_view_depth
+from evaluation.operator import by_view_depth
 from evaluation.scoring import OverlapCloud
 from evaluation.strip import StrippedFolder
 from evaluation.together import Sights, enough_overlap
@@ -84,10 +85,7 @@ class RecordedTruth:
         view_i, view_j = self._view(i), self._view(j)
         if view_i is None or view_j is None:
             return _nothing()
-        tracks_i, tracks_j = self._recording.tracks(view_i), self._recording.tracks(view_j)
-        if tracks_i is not None and tracks_j is not None:
-            return by_tracks(*tracks_i, *tracks_j)
-        return by_view_depth(i.view, j.view, inverse(view_i.T_world_camera) @ view_j.T_world_camera)
+        return true_pixels(self._recording, view_i, view_j)
 
     def see_the_same(self, i: SeenView, j: SeenView) -> bool:
         view_i, view_j = self._view(i), self._view(j)

@@ -25,6 +25,7 @@ class QuestionsOptions:
     seeds: int = 20
     first: int = 0
     workers: int = 2
+    mistakes: float = 0.0
 
 
 def run(options: QuestionsOptions, out: Path) -> dict[str, Any]:
@@ -44,7 +45,9 @@ def run(options: QuestionsOptions, out: Path) -> dict[str, Any]:
         wires, _ = on_the_wire(recording, recording.usable, Path(folder), pool, progress, seed=0)
         task = progress.add_task("fleets", total=options.seeds)
         seeds = range(options.first, options.first + options.seeds)
-        jobs = ((seed, (play, Task(recording, wires, seed, limits))) for seed in seeds)
+        jobs = (
+            (seed, (play, Task(recording, wires, seed, limits, options.mistakes))) for seed in seeds
+        )
         found: dict[int, Played] = {}
         for seed, played in as_done(pool, jobs, in_flight=options.workers):
             if played is not None:

@@ -6,6 +6,7 @@ import pickle
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,13 +16,16 @@ import numpy as np
 from evaluation.datasets import Recording, TrueView, are_partners, points_of
 from evaluation.geometry import Floats, inverse, transform
 from evaluation.interaction.fleet import connected
-from evaluation.interaction.hand import right_clicks
 from evaluation.interaction.truth import true_pixels
-from evaluation.interaction.worker import kept, takes, with_wide
+from evaluation.interaction.worker import kept, with_wide
+from evaluation.mistakes import Sight, mistaken, sight_of
+from evaluation.operator import PICKS_LOOKED_AT, by_hand, far_apart
 from evaluation.questions.policies import POLICIES
 from evaluation.questions.server import FleetServer, RobotPair, named_pairs
 from evaluation.scoring import Limits, position_error_m, rotation_error_deg
 from pose_server.questions import questions
+from protocol import codec
+from protocol.messages import View
 
 if TYPE_CHECKING:
     from pose_server.pairs.judging import PairResult
@@ -38,14 +42,15 @@ _SAME_PX = 1.5  # a pixel and a recorded point's
 
 @dataclass(frozen=True)
 class Task:
-    """One seed of a recording; `wires` is what the robots of all views sent, by index, and `limits`
-    say what is grave there.
+    """One seed of a recording; `wires` is what the robots of all views sent, by index, `limits` say
+    what is grave there, `mistakes` the share of the questions that the operator answers wrongly.
     """
 
     recording: Recording
     wires: dict[int, Path]
     seed: int
     limits: Limits
+    mistakes: float = 0.0
 
 
 @dataclass
@@ -232,8 +237,9 @@ def _gravely_off(task: Task, server: FleetServer) -> list[str]:
 
 
 def clicks_in(task: Task, views: tuple[int, int], visit: int) -> list[tuple[Floats, Floats]]:
-    """Three true correspondences as clicked on a visit to two views, other ones on each; none where
-    there are not enough. They are the same whoever asks.
+    """Three correspondences as clicked on a visit to two views, other ones on each; none where
+    there are not enough. They are the same whoever asks. Nobody tells the operator beforehand
+    where the server has a depth, and some questions are answered wrongly.
     """
     i, j = views
     seen = (kept(task.wires[i]), kept(task.wires[j]))
@@ -241,10 +247,22 @@ def clicks_in(task: Task, views: tuple[int, int], visit: int) -> list[tuple[Floa
     rng = np.random.default_rng((task.seed, *sorted(views)))
     true = true_pixels(task.recording, task.recording.view(i), task.recording.view(j))
     wanted = CLICKS * (visit + 1)
-    made = right_clicks(true, wanted, rng, (sizes[0], sizes[1]), takes(seen))
-    if len(made) < wanted:
+    if len(true[0]) < wanted:
         return []
-    return list(zip(made.pixels[0][-CLICKS:], made.pixels[1][-CLICKS:], strict=True))
+    order = far_apart(true[0], wanted + PICKS_LOOKED_AT, rng)[wanted - CLICKS :]
+    picks = (true[0][order], true[1][order])
+    chance = np.random.default_rng((task.seed, visit, *sorted(views)))
+    spoilt = None
+    if chance.uniform() < task.mistakes:
+        spoilt = mistaken(picks, _sight(task.wires[j]), CLICKS, chance)
+    pixels = (picks[0][:CLICKS], picks[1][:CLICKS]) if spoilt is None else spoilt.pixels
+    clicks = by_hand(pixels, rng, (sizes[0], sizes[1]))
+    return [(click.pixel_i, click.pixel_j) for click in clicks]
+
+
+@lru_cache(maxsize=64)
+def _sight(wire: Path) -> Sight:
+    return sight_of(codec.unpack(View, wire.read_bytes()))
 
 
 def judged_suggestions(task: Task, server: FleetServer) -> list[tuple[int, bool]]:

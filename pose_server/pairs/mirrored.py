@@ -49,9 +49,9 @@ def is_mirrored(pair: Pair, agreeing: int) -> bool:
 
 def mirrored_descriptors(descriptors: Descriptors) -> Descriptors:
     """SIFT descriptors (N, 128) of the same points in the mirrored image."""
-    cells = descriptors.reshape(-1, _CELLS, _CELLS, _DIRECTIONS)
+    cells = descriptors.reshape(len(descriptors), _CELLS, _CELLS, _DIRECTIONS)
     reversed_ = (-np.arange(_DIRECTIONS)) % _DIRECTIONS
-    return np.ascontiguousarray(cells[:, ::-1][..., reversed_].reshape(len(descriptors), -1))
+    return np.ascontiguousarray(cells[:, ::-1][..., reversed_].reshape(descriptors.shape))
 
 
 def mirrored(observed: Observed) -> Observed:

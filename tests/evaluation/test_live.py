@@ -297,6 +297,23 @@ def test_a_question_is_answered_and_the_click_timed_until_the_pose(site, observe
     assert len(operator.unanswered_s()) == len(operator.in_flight())
 
 
+def test_an_operator_who_errs_clicks_where_the_truth_is_not(own_link, site, observer):
+    site.show(observer, view("a", 0), view("b", 0))
+    operator = SimulatedOperator(
+        own_link, KEYS, observer, SameEverywhere(), 600, only_asked=True, mistakes=1.0
+    )
+    operator.start()
+    try:
+        site.ask(question())
+        update = site.next_update()
+    finally:
+        operator.close()
+    assert update is not None
+    assert np.linalg.norm(update.pixel_i - update.pixel_j) > 6.0
+    assert operator.wrong_clicks >= 3
+    assert set(operator.answers) <= {"step", "mirrored"}  # what a plain wall allows
+
+
 def test_an_update_is_repeated_until_its_receipt(site, operator):
     site.ask(question())
     updates = [site.next_update()]

@@ -2,7 +2,9 @@
 apart, and the folders are recordings like any other.
 """
 
+import random
 import threading
+from itertools import combinations
 
 import cv2
 import numpy as np
@@ -11,8 +13,12 @@ from scipy.spatial import KDTree
 
 from evaluation.datasets import CLOUD_KINDS, open_recording, points_of, shared_tracks
 from evaluation.fleet import FleetOptions, plan_fleet
-from evaluation.geometry import transform
+from evaluation.geometry import inverse, transform
+from evaluation.interaction.truth import true_depth, true_pixels
 from evaluation.options import WorldOption
+from evaluation.pair_worker import encode
+from evaluation.questions.play import Task, clicks_in
+from evaluation.strip import strip
 from evaluation.synth import SynthOptions, run
 from evaluation.truth import WorldTruth
 from evaluation.world import PLANS, PlanWorld
@@ -221,3 +227,36 @@ def test_a_fleet_in_a_plan_starts_a_world_of_that_plan(tmp_path):
             plan_fleet(wrong, tmp_path)
     with pytest.raises(FleetPoseError, match="stand still"):
         WorldOptions(robots=3, plan="facade", turning=("r2",)).world()
+
+
+def test_questions_are_answered_on_anything_with_contrast_and_wrongly_if_asked_to(folder, tmp_path):
+    recording = open_recording(folder, "stereo_dense")
+    wires = {}
+    for view in recording.usable:
+        robot = f"r{view.index}"
+        stripped = strip(recording, [view], tmp_path / robot, random.Random(0))
+        wires[view.index] = tmp_path / f"{robot}.msgpack"
+        encode(robot, stripped.camera, stripped.path, wires[view.index])
+    i, j = max(
+        combinations(recording.usable, 2), key=lambda pair: len(true_pixels(recording, *pair)[0])
+    )
+
+    def errors_px(mistakes: float, visit: int) -> np.ndarray:
+        task = Task(recording, wires, 0, mistakes=mistakes)
+        clicks = clicks_in(task, (i.index, j.index), visit)
+        depth = true_depth(recording, i)
+        points = np.array([lifted_at(i, depth, uv) for uv, _ in clicks])
+        there = transform(inverse(j.T_world_camera) @ i.T_world_camera, points)
+        return np.linalg.norm(
+            (there @ j.K.T)[:, :2] / there[:, 2:] - [uv for _, uv in clicks], axis=1
+        )
+
+    right = np.concatenate([errors_px(0.0, visit) for visit in range(4)])
+    wrong = np.concatenate([errors_px(1.0, visit) for visit in range(4)])
+    assert np.median(right) < 5.0
+    assert np.median(wrong) > 15.0
+
+
+def lifted_at(view, depth, uv) -> np.ndarray:
+    column, row = np.rint(uv).astype(int)
+    return np.linalg.inv(view.K) @ (*uv, 1.0) * depth[row, column]
