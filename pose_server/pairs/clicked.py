@@ -100,11 +100,11 @@ def _heard(pair: Pair, one: OperatorStart, result: PairResult) -> Heard:
     poses = [one.start.T_i_j]
     if result.T_i_j is not None and one.suits(result.T_i_j):
         poses.append(result.T_i_j)
-    said = max((hear(pair, T) for T in poses), key=_liking)
+    said = max((hear(pair, T, one.start.sigma) for T in poses), key=_liking)
     if said.says == "for":
         return said
     refined = [c.T_i_j for c in from_start(pair, one.start)[1:] if one.suits(c.T_i_j)]
-    return max((said, *(hear(pair, T) for T in refined)), key=_liking)
+    return max((said, *(hear(pair, T, one.start.sigma) for T in refined)), key=_liking)
 
 
 def _liking(said: Heard) -> tuple[int, float]:
@@ -157,7 +157,11 @@ def _believed(result: PairResult, best: OperatorStart, said: Heard, pair: Pair) 
             "but the images neither confirm nor contradict them: more points, or a pair of views "
             "nearer to each other, would make sure"
         )
-    hearing = Hearing(_agreeing(best, said.T_i_j), p_grave, told)
+    accepted = _agreeing(best, said.T_i_j)
+    if said.says != "for":  # clicks are judged by clicks alone: by what their pose leaves open too
+        loosely = best.pairs.distance2(said.T_i_j, best.covariance) < OUTLIER_CHI2
+        accepted = tuple((best.inliers | loosely).tolist())
+    hearing = Hearing(accepted, p_grave, told)
     done = {"confirmed": True, "p_grave": p_grave, "hearing": hearing, "rivals": ()}
     own = result.T_i_j is not None and best.suits(result.T_i_j)
     if own and result.verdict == "plausible":

@@ -34,6 +34,7 @@ _CHANCE, _FEW = 0.015, 8  # of the visible points, and so many more, are found b
 _TELLING = 80  # expected points: fewer may all be missed by a right pose
 _BLANK = 40  # visible points: with fewer it is as if there were no images
 _MAX_SEEN_THROUGH, _MIN_AGREE, _COMPARED = 0.25, 0.25, 20  # as in the verdict
+_UNSURE, _MOSTLY = 0.05, 0.5
 _TILTED_RAD = np.radians(30.0)  # no robot knows gravity worse
 
 
@@ -69,17 +70,22 @@ class Heard:
     why: str = ""
 
 
-def hear(pair: Pair, T: Floats) -> Heard:
-    """Asks the images about a pose T_i_j."""
+def hear(pair: Pair, T: Floats, sigma: float = 0.0) -> Heard:
+    """Asks the images about a pose T_i_j, known to `sigma`, share of the depth.
+
+    One that is known so badly that nobody is located by it is seen through by its own error: that
+    alone speaks against it only where most is.
+    """
     tilt = _tilt_rad(pair, T)
     if tilt > _TILTED_RAD:
         how = "upside down" if tilt > np.pi / 2 else f"tilted by {np.degrees(tilt):.0f} deg"
         return Heard(T, "against", 0.0, f"only with {pair.j.name.robot} {how}: another order?")
     seen = pair.agreement(T)
-    if seen.compared >= _COMPARED and seen.through > _MAX_SEEN_THROUGH:
+    most = _MAX_SEEN_THROUGH if sigma < _UNSURE else _MOSTLY
+    if seen.compared >= _COMPARED and seen.through > most:
         why = f"{seen.through:.0%} of {pair.j.name.robot}'s cloud would be seen through"
         return Heard(T, "against", 0.0, why)
-    if seen.compared >= _COMPARED and seen.agree < _MIN_AGREE:
+    if seen.compared >= _COMPARED and seen.agree < _MIN_AGREE and sigma < _UNSURE:
         return Heard(T, "against", 0.0, f"only {seen.agree:.0%} of the surfaces would agree")
     visible, parallax_rad = _visible(pair, T)
     found = found_again(pair, T)
