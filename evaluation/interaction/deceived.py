@@ -66,9 +66,9 @@ class Deceived:
         grave_located: and gravely off.
         told: all wrong clicks are outliers, or operators are told that something does not fit.
         text: what they are told.
-        recovered: after three right clicks these are accepted, and what the server knows of the
-            pair is not gravely off.
-        named_after: and exactly the wrong ones are outliers then.
+        recovered: after three right clicks these are accepted, exactly the wrong ones are outliers,
+            and nobody is located and gravely off.
+        right_after: and what the server knows of the pair is not gravely off.
         located_after: and both robots are located.
         grave_located_after: a robot is located then, and gravely off.
     """
@@ -84,7 +84,7 @@ class Deceived:
     told: bool
     text: str
     recovered: bool
-    named_after: bool
+    right_after: bool
     located_after: bool
     grave_located_after: bool
     position_error_m: float | None
@@ -148,7 +148,7 @@ def summarize(rows: Sequence[Deceived]) -> dict[str, Any]:
         "located": sum(row.located for row in rows),
         "told_wrong": share(row.told for row in rows),
         "recovered": share(row.recovered for row in rows),
-        "named_after": share(row.named_after for row in rows),
+        "right_after": share(row.right_after for row in rows),
         "located_after": share(row.located_after for row in rows),
         "grave_located_after": sum(row.grave_located_after for row in rows),
     }
@@ -190,6 +190,7 @@ def _played(task: Task, wrong: Clicked, later: Clicked) -> Deceived:
     statuses = [kept.item.status for kept in server.site.book.of(*names)]
     accepted = all(status == "accepted" for status in statuses[len(wrong) :])
     marked = [status == "outlier" for status in statuses[: len(wrong)]]
+    recovered = accepted and marked == wrong.wrong.tolist() and not after.grave_located
     i, j = task.pair
     return Deceived(
         i.index,
@@ -202,8 +203,8 @@ def _played(task: Task, wrong: Clicked, later: Clicked) -> Deceived:
         here.grave_located,
         told,
         text,
-        accepted and after.error_m is not None and not after.grave,
-        accepted and marked == wrong.wrong.tolist(),
+        recovered,
+        recovered and after.error_m is not None and not after.grave,
         after.located,
         after.grave_located,
         here.error_m,

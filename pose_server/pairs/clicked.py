@@ -33,10 +33,12 @@ from pose_server.pairs.views import PreparedView
 Floats = npt.NDArray[np.floating]
 Bools = npt.NDArray[np.bool_]
 
-# Of a pose that clicks determine: one set of agreeing clicks in twenty may be all wrong; images
-# that are for it are so for one wrong one in ten at most, those that say nothing are so for most.
-P_SUPPORTED, P_UNSUPPORTED = 0.006, 0.1
-_RANK = {"for": 2, "nothing": 1, "against": 0}
+# That a pose which clicks determine is gravely off: one set of agreeing clicks in twenty may be all
+# wrong. Images are for one wrong pose in ten at most (1 : 9 for it); where they could be for it and
+# are not, it is wrong twice as often; where there is nothing in them, the operator's word stands.
+P_SUPPORTED, P_UNSUPPORTED, P_BLANK = 0.006, 0.1, 0.01
+_P_GRAVE = {"for": P_SUPPORTED, "nothing": P_UNSUPPORTED, "blank": P_BLANK}
+_RANK = {"for": 2, "blank": 1, "nothing": 1, "against": 0}
 _MUCH_BETTER = 2.0  # found as large a share again: the images fit another pose
 
 
@@ -98,11 +100,11 @@ def _heard(pair: Pair, one: OperatorStart, result: PairResult) -> Heard:
     poses = [one.start.T_i_j]
     if result.T_i_j is not None and one.suits(result.T_i_j):
         poses.append(result.T_i_j)
-    said = max((hear(pair, T) for T in poses), key=_liking)
+    said = max((hear(pair, T, one.start.sigma) for T in poses), key=_liking)
     if said.says == "for":
         return said
     refined = [c.T_i_j for c in from_start(pair, one.start)[1:] if one.suits(c.T_i_j)]
-    return max((said, *(hear(pair, T) for T in refined)), key=_liking)
+    return max((said, *(hear(pair, T, one.start.sigma) for T in refined)), key=_liking)
 
 
 def _liking(said: Heard) -> tuple[int, float]:
@@ -147,15 +149,19 @@ def _believed(result: PairResult, best: OperatorStart, said: Heard, pair: Pair) 
     """The clicks make it plausible; of two poses the sharper is taken: what features made of it, if
     all clicks agree with that, else the clicks' own. Either is as sure as the clicks are.
     """
-    p_grave = P_SUPPORTED if said.says == "for" else P_UNSUPPORTED
+    p_grave = _P_GRAVE[said.says]
     told = ""
-    if said.says == "nothing":
+    if said.says != "for":
         told = (
             f"your {_points(best)} in {pair.i.name.robot} and {pair.j.name.robot} fit each other, "
             "but the images neither confirm nor contradict them: more points, or a pair of views "
             "nearer to each other, would make sure"
         )
-    hearing = Hearing(_agreeing(best, said.T_i_j), p_grave, told)
+    accepted = _agreeing(best, said.T_i_j)
+    if said.says != "for":  # clicks are judged by clicks alone: by what their pose leaves open too
+        loosely = best.pairs.distance2(said.T_i_j, best.covariance) < OUTLIER_CHI2
+        accepted = tuple((best.inliers | loosely).tolist())
+    hearing = Hearing(accepted, p_grave, told)
     done = {"confirmed": True, "p_grave": p_grave, "hearing": hearing, "rivals": ()}
     own = result.T_i_j is not None and best.suits(result.T_i_j)
     if own and result.verdict == "plausible":
@@ -208,7 +214,7 @@ def _has_a_rival(pair: Pair, result: PairResult, best: OperatorStart, said: Hear
     if result.verdict == "verified":
         better = said.share < _MUCH_BETTER * other.share
     else:
-        better = said.says == "nothing" or other.share > _MUCH_BETTER * said.share
+        better = said.says != "for" or other.share > _MUCH_BETTER * said.share
     return other.says == "for" and better
 
 

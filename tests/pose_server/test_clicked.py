@@ -124,7 +124,7 @@ def test_clicks_and_images_that_fit_two_poses_join_nothing_until_more_is_known()
     the images cannot contradict it, but they are for the pose that features found.
     """
     aside = T_TRUE @ make_pose(exp_so3(np.array([0.0, np.radians(50.0), 0.0])), np.zeros(3))
-    assert hear(Pair(*VIEWS, RATIO), aside).says == "nothing"
+    assert hear(Pair(*VIEWS, RATIO), aside).says == "blank"
     plausible = PairResult(T_TRUE, np.eye(6), "plausible", ("some",), inliers=30, start="features")
     result = told(plausible, clicked(RIGHT, T_i_j=aside))
     assert result.verdict == "ambiguous" and not result.confirmed
