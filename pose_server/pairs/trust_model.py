@@ -2,30 +2,31 @@
 
 from pose_server.pairs.trust import TrustModel
 
-# fitted on church_herzjesu-sparse_noisy, courtyard2-u40-s21-sparse_noisy, house_dtu24-sparse_noisy,
-# ring_temple-sparse_noisy
+# fitted on church_herzjesu-sparse_noisy, courtyard2-u40-s21-sparse_noisy,
+# facade-u40-s23-stereo_pair_sparse, house_dtu24-sparse_noisy, rgbd_7scenes_redkitchen_A--,
+# ring_temple-sparse_noisy, weak-u15-s22-stereo_dense
 MODEL = TrustModel(
     expected=(
-        (-0.0893, -2.076, 0.6825, -1.325, -0.2256, 0.7049),
-        (0.1396, -1.721, 0.431, -1.182, -0.1608, 1.124),
-        (3.814, -3.35, 0.8608, -0.7335, 0.3621, 0.8864),
-        (5.125, -2.056, 0.8835, -1.813, 0.3655, 1.472),
-        (3.496, -2.235, 0.8315, -0.5659, 0.08148, 0.6632),
+        (-0.4135, -1.595, 0.4441, -0.8046, -0.1023, 0.3997),
+        (0.008148, -1.622, 0.4241, -0.4711, -0.09429, 0.4353),
+        (3.637, -2.924, 0.5978, -0.2327, 0.2653, 0.7876),
+        (5.177, -2.307, 0.9719, -0.3371, 0.2179, 0.9306),
+        (3.301, -1.792, 0.6409, -0.7997, 0.03845, 0.4419),
     ),
-    scatter=(0.3188, 0.4154, 0.4372, 0.5779, 0.5291),
+    scatter=(0.4271, 0.4097, 0.5091, 0.6307, 0.6719),
     weights=(
-        0.02395,  # unexplained
-        0.07637,  # found_by_guidance_alone
-        0.1657,  # surfaces_disagree
-        0.3813,  # seen_through
-        0.2407,  # holes
-        0.1112,  # few_exact
+        0.04372,  # unexplained
+        0.112,  # found_by_guidance_alone
+        0.01587,  # surfaces_disagree
+        0.4596,  # seen_through
+        0.2795,  # holes
+        0,  # few_exact
         0,  # few_unguided
-        0.3935,  # hazy
-        2.324,  # loose_depths
-        4.327,  # from_behind
-        0.8334,  # undetermined
-        1.324,  # rival
+        0.3732,  # hazy
+        0.7014,  # loose_depths
+        5.707,  # from_behind
+        0.919,  # undetermined
+        1.045,  # rival
     ),
-    bias=-1.186,
+    bias=-1.614,
 )
