@@ -8,6 +8,7 @@ of both poses finds again.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -34,7 +35,7 @@ _EXACTLY_ALIKE = 0.04  # which is at least this: twins in a rendered or very sha
 _LEAST_LEFT_OVER = 6  # matches, to look for another pose among them
 _LEAST_ALIKE = 8  # points with a twin elsewhere: fewer are chance
 _RADIUS = 0.012  # share of the depth: an alias is known as well as a pose by triangles
-_LEAST_PLACES = 12  # that a rival finds again
+_LEAST_PLACES, _WORTH = 12, 0.25  # that a rival finds again; over those of the winner
 EXACT_SIGMAS = 2.5  # across the epipolar line: a wider one is found by chance around any place
 _NOISE = NoiseScale(1.0, 1.5)
 _COMMON = 12  # places that one pose finds and the other expects: fewer tell nothing
@@ -79,13 +80,14 @@ def rivals_of(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
     elsewhere = _elsewhere(pair, exact)[:MOST_MATCHES]
     if len(elsewhere) >= _LEAST_ALIKE:
         found = poses_by_triangles(pair.i.observed, pair.j.observed, elsewhere, pair.depth_m)
-        poses += [pose for pose, _ in found]
+        poses += [pose for pose, agrees in found if len(agrees) >= _LEAST_LEFT_OVER]
     if not poses:
         return []
     winner = _Claim.of(pair, T)
+    worth = max(_LEAST_PLACES, _WORTH * winner.places)
     rivals: list[Rival] = []
     for pose in poses:
-        rival = _rival(pair, winner, pose)
+        rival = _rival(pair, winner, pose, worth)
         if rival is not None and not any(pair.same_pose(rival.T_i_j, r.T_i_j) for r in rivals):
             rivals.append(rival)
     return sorted(rivals, key=lambda one: -one.places)[:_MOST_RIVALS]
@@ -144,18 +146,22 @@ def _elsewhere_in(i: PreparedView, j: PreparedView, matches: Indices) -> Indices
     return np.column_stack((lifted[best[rows, columns]], matches[rows, 1]))
 
 
-def _rival(pair: Pair, winner: "_Claim", pose: Floats) -> Rival | None:
-    matches = np.unique(np.concatenate((pair.guided(pose, _RADIUS), pair.ratio)), axis=0)
-    if len(matches) < 6:
+def _rival(pair: Pair, winner: "_Claim", pose: Floats, worth: float) -> Rival | None:
+    """A coarse pose as a rival, if it is one: refined, it finds so many places again."""
+    around = pair.guided(pose, _RADIUS)
+    if len(around) < worth:
         return None
     try:
-        pose = pair.refined(pose, matches, _NOISE, 6).T_i_j
+        pose = pair.refined(pose, around, _NOISE, 6).T_i_j
     except DegenerateGeometryError:
         return None
     if not pair.gravely_apart(pose, winner.T_i_j):
         return None
+    agreeing = exact_matches(pair, pose, around)
+    if len(agreeing) < worth:
+        return None
     claim = _Claim.of(pair, pose)
-    if claim.places < _LEAST_PLACES:
+    if claim.places < worth:
         return None
     return Rival(pose, claim.places, _holes(winner, claim), _holes(claim, winner))
 
@@ -194,7 +200,7 @@ class _Claim:
     Attributes:
         expected, found: of i's points and of j's, which should be seen in the other view, and which
             are found again to the pixel.
-        repeated: of these, what has something like it elsewhere in the other view.
+        agreeing: (M, 2) the matches that say so.
         places: distinct places found.
         share: of the places expected.
     """
@@ -202,8 +208,8 @@ class _Claim:
     T_i_j: Floats
     pair: Pair
     expected: tuple[Bools, Bools]
+    agreeing: Indices
     found: tuple[Bools, Bools]
-    repeated: tuple[Bools, Bools]
     places: int
     share: float
 
@@ -216,14 +222,18 @@ class _Claim:
         matches = np.unique(np.concatenate((pair.guided(T, 0.006), pair.ratio)), axis=0)
         agreeing = exact_matches(pair, T, matches)
         found = _masks(pair, agreeing)
-        repeated = (
-            _masks(pair, _elsewhere_in(pair.j, pair.i, agreeing[:, ::-1])[:, ::-1])[0],
-            _masks(pair, _elsewhere_in(pair.i, pair.j, agreeing))[1],
-        )
         views = pair.i.observed, pair.j.observed
         seen = min(count_places(v.uv[mask]) for v, mask in zip(views, expected, strict=True))
         places = min(count_places(v.uv[mask]) for v, mask in zip(views, found, strict=True))
-        return cls(T, pair, expected, found, repeated, places, places / max(seen, 1))
+        return cls(T, pair, expected, agreeing, found, places, places / max(seen, 1))
+
+    @cached_property
+    def repeated(self) -> tuple[Bools, Bools]:
+        """Of the points found, what has something like it elsewhere in the other view."""
+        i, j = self.pair.i, self.pair.j
+        of_i = _elsewhere_in(j, i, self.agreeing[:, ::-1])[:, ::-1]
+        of_j = _elsewhere_in(i, j, self.agreeing)
+        return _masks(self.pair, of_i)[0], _masks(self.pair, of_j)[1]
 
 
 def _masks(pair: Pair, matches: Indices) -> tuple[Bools, Bools]:
