@@ -94,12 +94,15 @@ def _nodes(
 
 
 def _grave(layout: Layout, found: Found) -> dict[int, float]:
-    """Per node the probability that its pose is gravely off beside the root's: links that are used
-    and those that join are the ways there.
+    """Per node the probability that its pose is gravely off beside the root's. Each edge that is
+    used is worth what it says itself; clicks that join without an edge are links as well.
     """
     used = [link for link, out in zip(found.links, found.fit.out, strict=True) if not out]
-    joining = [r.link for tree in layout.trees for r in tree if r.link is not None]
-    return along_surest_ways([tree[0].node for tree in layout.trees], [*used, *joining])
+    by_clicks = [
+        r.link for tree in layout.trees for r in tree if r.link is not None and r.link.edge is None
+    ]
+    roots = [tree[0].node for tree in layout.trees]
+    return along_surest_ways(roots, [*used, *by_clicks], found.poses)
 
 
 def _components(state: FleetInput, layout: Layout) -> dict[ViewName, tuple[ViewName, ...]]:

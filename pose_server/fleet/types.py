@@ -165,7 +165,7 @@ class NodePose:
             contradicted by another one and nothing tells which of them is wrong.
         parent: the next view on that path, None for the root.
         p_grave: probability that the pose is gravely off beside the root's: that any edge of the
-            surest way to the root is.
+            surest way to the root is, and nothing independent confirms it.
         covariance: (6, 6) of T_root_camera; None where it was not asked for or could not be had.
         why_no_covariance: the reason, empty if there is one.
     """

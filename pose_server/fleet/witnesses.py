@@ -18,13 +18,21 @@ known to be as likely an alias as not, and however many of these agree, they rem
 import heapq
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 
+import numpy as np
+import numpy.typing as npt
+
 from pose_server.fleet.links import Link
+from pose_server.fleet.types import GRAVE_ODOMETRY
 from pose_server.geometry.structure import Structure
 
+Floats = npt.NDArray[np.floating]
+Structures = tuple[Floats, Floats]
+
 _NEVER = 1e-9  # no link is surer
+_SURE, _MOST_CONFIRMED = 0.005, 16  # links below it need no confirmation; so many are looked at
 
 
 def independent(structures: Sequence[Structure | None]) -> bool:
@@ -53,22 +61,88 @@ def some_grave(p_grave: Sequence[float]) -> float:
     return 1.0 - right / (1.0 - one) if one < 1.0 else 1.0
 
 
-def along_surest_ways(roots: Iterable[int], links: Iterable[Link]) -> dict[int, float]:
+def along_surest_ways(
+    roots: Sequence[int], links: Sequence[Link], poses: Sequence[Floats]
+) -> dict[int, float]:
     """Per node that links lead to: the probability that any link of the surest way there from a
-    root is gravely off (Dijkstra). What other ways confirm is not counted: they may be copies.
+    root is gravely off (Dijkstra), after each doubtful link on these ways was confirmed as far as
+    independent others lead from its one end to its other one.
+
+    Args:
+        roots: one node per component.
+        links: that are used; the solution agrees with all of them.
+        poses: (4, 4) T_root_node per node.
     """
-    neighbours: dict[int, list[tuple[int, float]]] = defaultdict(list)
-    for link in links:
-        cost = -math.log1p(-min(max(link.p_grave, _NEVER), 1.0 - _NEVER))
-        neighbours[link.a].append((link.b, cost))
-        neighbours[link.b].append((link.a, cost))
+    p_grave = [link.p_grave for link in links]
+    _, taken = _surest(roots, links, p_grave)
+    doubtful = sorted((k for k in taken if p_grave[k] > _SURE), key=lambda k: -p_grave[k])
+    if doubtful:
+        _confirm(links, poses, doubtful[:_MOST_CONFIRMED], p_grave)
+    costs, _ = _surest(roots, links, p_grave)
+    return {node: -math.expm1(-cost) for node, cost in costs.items()}
+
+
+def _confirm(
+    links: Sequence[Link], poses: Sequence[Floats], doubtful: Sequence[int], p_grave: list[float]
+) -> None:
+    """Lowers the probabilities of doubtful links by other ways from end to end that are independent
+    of them and agree, as both are used.
+    """
+    at = _structures(links, poses)
+    for k in doubtful:
+        others = np.nonzero(_confirming(links, at, k))[0].tolist()
+        ways = [links[m] for m in others]
+        costs, _ = _surest([links[k].a], ways, [one.p_grave for one in ways])
+        if links[k].b in costs:
+            other_way = -math.expm1(-costs[links[k].b])
+            p_grave[k] = min(p_grave[k], all_grave([p_grave[k], other_way]))
+
+
+def _structures(links: Sequence[Link], poses: Sequence[Floats]) -> Structures:
+    """What links rest on: its middles (N, 3) and spreads (N, 3, 3) in the root's frame; nan where
+    that is not known.
+    """
+    nowhere = Structure(np.full(3, np.nan), np.eye(3))
+    placed = [
+        nowhere if link.structure is None else link.structure.seen_from(poses[link.a])
+        for link in links
+    ]
+    return np.stack([one.centre for one in placed]), np.stack([one.spread for one in placed])
+
+
+def _confirming(links: Sequence[Link], at: Structures, k: int) -> npt.NDArray[np.bool_]:
+    """(N,) which links may be on a way that confirms another one: they rest on other structure, or
+    are a robot's own motion, which rests on none.
+    """
+    apart = Structure(at[0][k], at[1][k]).apart_from(*at)
+    own_motion = [link.structure is None and link.p_grave <= GRAVE_ODOMETRY for link in links]
+    confirming = apart | np.array(own_motion)
+    confirming[k] = False
+    return confirming
+
+
+def _surest(
+    roots: Sequence[int], links: Sequence[Link], p_grave: Sequence[float]
+) -> tuple[dict[int, float], list[int]]:
+    """The cost -log(1 - p) of the surest way to each node, and the numbers of the links on these
+    ways.
+    """
+    neighbours: dict[int, list[tuple[int, float, int]]] = defaultdict(list)
+    for k, link in enumerate(links):
+        cost = -math.log1p(-min(max(p_grave[k], _NEVER), 1.0 - _NEVER))
+        neighbours[link.a].append((link.b, cost, k))
+        neighbours[link.b].append((link.a, cost, k))
     found: dict[int, float] = {}
-    queue = [(0.0, root) for root in roots]
+    taken: list[int] = []
+    queue = [(0.0, root, -1) for root in roots]
     heapq.heapify(queue)
     while queue:
-        cost, node = heapq.heappop(queue)
-        if node not in found:
-            found[node] = cost
-            for other, more in neighbours[node]:
-                heapq.heappush(queue, (cost + more, other))
-    return {node: -math.expm1(-cost) for node, cost in found.items()}
+        cost, node, by = heapq.heappop(queue)
+        if node in found:
+            continue
+        found[node] = cost
+        if by >= 0:
+            taken.append(by)
+        for other, more, k in neighbours[node]:
+            heapq.heappush(queue, (cost + more, other, k))
+    return found, taken

@@ -44,7 +44,13 @@ class Structure:
         """Whether two sets lie side by side: along the direction that tells them apart best
         (Fisher's) each ends before the other begins.
         """
-        between = other.centre - self.centre
-        across = np.linalg.solve(self.spread + other.spread, between)
-        reach = sum(float(np.sqrt(across @ one.spread @ across)) for one in (self, other))
-        return bool(abs(across @ between) > _REACH_SIGMAS * reach > 0.0)
+        return bool(self.apart_from(other.centre[None], other.spread[None])[0])
+
+    def apart_from(self, centres: Floats, spreads: Floats) -> npt.NDArray[np.bool_]:
+        """The same of many others (N, 3), (N, 3, 3); nan is apart from nothing."""
+        between = centres - self.centre
+        across = np.linalg.solve(self.spread + spreads, between[:, :, None])[:, :, 0]
+        own = np.sqrt(np.einsum("ni,ij,nj->n", across, self.spread, across))
+        others = np.sqrt(np.einsum("ni,nij,nj->n", across, spreads, across))
+        gap = np.abs((across * between).sum(axis=1))
+        return (gap > _REACH_SIGMAS * (own + others)) & (gap > 0.0)

@@ -117,6 +117,30 @@ def test_doubts_add_up_along_a_chain_and_a_surer_way_makes_up_for_them():
     assert found[NODES[4]].p_grave == pytest.approx(1 - 0.999 * 0.98, abs=1e-6)
 
 
+@pytest.mark.parametrize(("second", "sure"), [(RIGHT, True), (thing(-0.77), False)])
+def test_a_way_that_rests_on_other_structure_confirms_a_doubtful_edge_and_a_copy_does_not(
+    second, sure
+):
+    doubted = edge(NODES, TRUTH, 0, 1, None, p_grave=0.03, rests_on=LEFT)
+    around = [
+        edge(NODES, TRUTH, 0, 2, None, p_grave=0.03, rests_on=second),
+        edge(NODES, TRUTH, 1, 2, None, p_grave=0.03, rests_on=second),
+    ]
+    (node,) = (solve([doubted, *around]).nodes[NODES[1]],)
+    expected = all_grave([0.03, 1 - 0.97**2]) if sure else 0.03
+    assert node.p_grave == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_robots_own_motion_leads_to_a_second_witness():
+    nodes = [view("a", 0), view("a", 1), view("b", 0)]
+    edges = [
+        edge(nodes, TRUTH, 0, 1, None, kind="odometry"),
+        edge(nodes, TRUTH, 0, 2, None, p_grave=0.03, rests_on=LEFT),
+        edge(nodes, TRUTH, 1, 2, None, p_grave=0.03, rests_on=RIGHT),
+    ]
+    assert solve(edges, nodes).nodes[nodes[2]].p_grave < 0.002
+
+
 def test_an_edge_that_is_set_aside_makes_nobody_surer():
     rng = np.random.default_rng(1)
     right = [edge(NODES, TRUTH, k, (k + 1) % 8, rng, p_grave=0.01) for k in range(8)]
