@@ -304,8 +304,8 @@ def why_not(site: Site, name: str, settings: ServerSettings, now_s: float) -> Wh
     if robot is None:
         return unknown(site, name)
     reason = why_not_located(site, robot, settings, now_s)
-    alarms = tuple(alarm.text for alarm in site.alarms if alarm.robot == name)
-    return WhyNot(robot=name, located=not reason, why_not=reason, alarms=alarms)
+    told = tuple(alarm.text for alarm in alarms.standing(site) if alarm.robot == name)
+    return WhyNot(robot=name, located=not reason, why_not=reason, alarms=told)
 
 
 def unknown(site: Site, name: str) -> str:

@@ -275,6 +275,9 @@ class _OfPlaces:
     def correspondences(self, i: SeenView, j: SeenView) -> tuple[Floats, Floats]:
         return self.base.correspondences(i, j)
 
+    def see_the_same(self, i: SeenView, j: SeenView) -> bool:
+        return self.base.see_the_same(i, j)
+
     def at(self, place: str, seen: SeenView) -> Floats | None:
         """Where who stands at a place is."""
         return WorldTruth(self._file, {seen.view.name.robot: place}).T_world_robot(seen)
