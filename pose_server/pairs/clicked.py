@@ -61,7 +61,7 @@ def with_clicks(
     if not full:
         return _undetermined(result, clicks, i, j)
     if result.T_i_j is not None and result.verdict == "verified":
-        agreeing = [one for one in full if one.suits(result.T_i_j)]
+        agreeing = [one for one in full if _back(one, result.T_i_j)]
         if agreeing:
             return _confirmed(result, agreeing[0])
     pair = Pair(i, j, RATIO)
@@ -123,6 +123,14 @@ def _confirmed(result: PairResult, one: OperatorStart) -> PairResult:
     assert result.T_i_j is not None
     hearing = Hearing(_agreeing(one, result.T_i_j), min(result.p_grave, P_SUPPORTED))
     return replace(result, confirmed=True, grown=result.start == "operator", hearing=hearing)
+
+
+def _back(one: OperatorStart, T: Floats) -> bool:
+    """Whether clicks that agree with each other are for a pose found otherwise: three of them and
+    most of them are. A pose that is sharper than theirs may well leave one of them out.
+    """
+    agreeing = int((np.array(_agreeing(one, T)) & one.inliers).sum())
+    return agreeing >= FULL_POSE and 2 * agreeing > int(one.inliers.sum())
 
 
 def _as_good(pair: Pair, said: Heard, result: PairResult) -> bool:
@@ -208,7 +216,7 @@ def _has_a_rival(pair: Pair, result: PairResult, best: OperatorStart, said: Hear
     verified and which they do not like clearly less.
     """
     found = result.verdict in ("verified", "plausible")
-    if not found or result.T_i_j is None or best.suits(result.T_i_j):
+    if not found or result.T_i_j is None or _back(best, result.T_i_j):
         return False
     other = hear(pair, result.T_i_j)
     if result.verdict == "verified":

@@ -174,6 +174,18 @@ def test_the_job_of_a_pair_tells_what_became_of_its_clicks():
     assert result.hearing.accepted == (False,) * 4 + (True,) * 3
 
 
+def test_one_of_five_right_clicks_that_is_a_little_off_makes_a_verified_pose_no_less_sure():
+    right = clicked(RIGHT)
+    slip = np.zeros((5, 2))
+    slip[2] = 9.0
+    off = replace(right, uv_j=right.uv_j + slip)
+    verified = PairResult(T_TRUE, np.eye(6), "verified", ("many matches",), 200, start="graph")
+    result = told(verified, off)
+    assert result.verdict == "verified" and result.confirmed
+    assert result.hearing is not None and not result.hearing.told
+    assert sum(result.hearing.accepted) >= 4
+
+
 def test_clicks_that_images_like_better_than_a_verified_alias_are_heard():
     """An alias was verified, of which the images find next to nothing again."""
     alias = T_TRUE.copy()
