@@ -155,11 +155,12 @@ def test_a_file_of_the_first_schema_is_read_and_brought_to_the_second(tmp_path):
     store = GraphStore(path)
     store.write(Graph(), before)
     store._db.execute("ALTER TABLE edges DROP COLUMN p_grave")
+    store._db.execute("ALTER TABLE edges DROP COLUMN structure")
     store._db.execute("PRAGMA user_version = 1")
     store.close()
     unknown = Graph(
         before.keyframes,
-        {key: replace(e, p_grave=None) for key, e in before.edges.items()},
+        {key: replace(e, p_grave=-1.0, structure=None) for key, e in before.edges.items()},
         before.gauge,
     )
     assert same(read_graph(path), unknown)
