@@ -18,6 +18,7 @@ from evaluation.interaction.truth import true_depth, true_pixels
 from evaluation.options import WorldOption
 from evaluation.pair_worker import encode
 from evaluation.questions.play import Task, clicks_in
+from evaluation.scoring import Limits
 from evaluation.strip import strip
 from evaluation.synth import SynthOptions, run
 from evaluation.truth import WorldTruth
@@ -242,7 +243,7 @@ def test_questions_are_answered_on_anything_with_contrast_and_wrongly_if_asked_t
     )
 
     def errors_px(mistakes: float, visit: int) -> np.ndarray:
-        task = Task(recording, wires, 0, mistakes=mistakes)
+        task = Task(recording, wires, 0, Limits.of(6.0, rgbd=False), mistakes)
         clicks = clicks_in(task, (i.index, j.index), visit)
         depth = true_depth(recording, i)
         points = np.array([lifted_at(i, depth, uv) for uv, _ in clicks])
