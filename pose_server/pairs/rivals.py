@@ -33,6 +33,7 @@ _ALIKE_PLACES = 3  # of each point, at most: a period has one on either side
 _AS_ALIKE = 1.5  # squared distance of descriptors, over that of the pose's own match,
 _EXACTLY_ALIKE = 0.04  # which is at least this: twins in a rendered or very sharp image
 _LEAST_LEFT_OVER = 6  # matches, to look for another pose among them
+_ENOUGH_MATCHES = 120  # whose twins are looked for
 _LEAST_ALIKE = 8  # points with a twin elsewhere: fewer are chance
 _RADIUS = 0.012  # share of the depth: an alias is known as well as a pose by triangles
 _LEAST_PLACES, _WORTH = 12, 0.25  # that a rival finds again; over those of the winner
@@ -77,7 +78,8 @@ def rivals_of(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
     other = left_over(pair, np.isin(pair.ratio[:, 1], exact[:, 1]), _NOISE)
     if other is not None and pair.gravely_apart(T, other):
         poses.append(other)
-    elsewhere = _elsewhere(pair, exact)[:MOST_MATCHES]
+    some = exact[:: 1 + len(exact) // _ENOUGH_MATCHES]
+    elsewhere = _elsewhere(pair, some)[:MOST_MATCHES]
     if len(elsewhere) >= _LEAST_ALIKE:
         found = poses_by_triangles(pair.i.observed, pair.j.observed, elsewhere, pair.depth_m)
         poses += [pose for pose, agrees in found if len(agrees) >= _LEAST_LEFT_OVER]

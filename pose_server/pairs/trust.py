@@ -24,7 +24,8 @@ VERIFIED_P_GRAVE, REJECTED_P_GRAVE = 0.03, 0.9
 # By so many sigmas wrong poses of repeating facades and corridors led the right ones, by parts that
 # the latter see at a grazing angle.
 _CLEAR_LEAD = 5.0
-RIVAL_P_GRAVE = 0.5  # a rival that is rather wrong on its own evidence is none
+# A right pose is rarely likelier than this to be wrong by its own evidence: what is, is no rival.
+RIVAL_P_GRAVE = 0.1
 _LEAST, _MOST = 1e-4, 1 - 1e-4  # no evidence of one pair says more: so many pairs were fitted on
 
 

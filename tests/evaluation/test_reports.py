@@ -70,7 +70,7 @@ def test_poses_csv_has_exactly_the_agreed_columns(tmp_path):
     header = (tmp_path / "poses.csv").read_text().splitlines()[0].split(",")
     assert header[:4] == ["i", "j", "verdict", "align_ms"]
     assert header[4:11] == ["qw", "qx", "qy", "qz", "tx", "ty", "tz"]
-    assert header[11:] == list(COVARIANCE_COLUMNS)
+    assert header[11:] == [*COVARIANCE_COLUMNS, "p_grave"]
     answered, unanswered = read(tmp_path / "poses.csv")
     assert (answered["i"], answered["j"], answered["verdict"]) == ("0", "1", "verified")
     assert [float(answered[k]) for k in ("tx", "ty", "tz")] == [1.0, 2.0, 3.0]
