@@ -241,6 +241,7 @@ def test_the_newest_pose_comes_back_and_goes_stale(robot, link):
     assert robot.pose() is None
     assert robot.age_s("r1") is None
     publisher = pose_publisher(link)
+    assert wait_until(lambda: robot.server_alive, 5)
     publisher.put(pack(pose_message(n=5)), encoding_of(RobotPose))
     assert wait_until(lambda: robot.pose() is not None, 5)
     assert robot.pose().n == 5

@@ -54,6 +54,7 @@ def test_a_pose_of_another_epoch_than_the_live_servers_is_refused_counted_and_na
     robot, link, elsewhere, caplog
 ):
     server = pose_publisher(link)
+    assert wait_until(lambda: robot.server_alive, 5)
     publish(server, pose_message(n=1, x_m=1.0))
     assert wait_until(lambda: robot.pose() is not None, 5)
     liar = elsewhere.latched(KEYS.pose("r1"))
@@ -84,14 +85,16 @@ def test_poses_that_were_there_before_the_robot_are_taken(router, link):
 
 
 def test_poses_of_a_server_that_was_replaced_are_stale_at_once(robot, link, elsewhere):
-    publish(pose_publisher(link), pose_message())
+    server = pose_publisher(link)
+    assert wait_until(lambda: robot.server_alive, 5)
+    publish(server, pose_message())
     assert wait_until(lambda: robot.pose() is not None, 5)
     pose = robot.pose()
     link.close()
     assert wait_until(lambda: not robot.server_alive, 5)
     assert not robot.is_stale(pose)  # nobody says otherwise: it is as good as it was
     elsewhere.token(KEYS.server_alive(OTHER))
-    assert wait_until(lambda: robot.is_stale(pose), 5)
+    assert wait_until(lambda: robot.is_stale(pose) and robot.server_alive, 5)
     publish(elsewhere.latched(KEYS.pose("r1")), pose_message(server_epoch=OTHER, n=0))
     assert wait_until(lambda: not robot.is_stale(robot.pose()), 5)
 
