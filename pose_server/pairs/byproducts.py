@@ -16,8 +16,11 @@ from pose_server.pairs.mirrored import REASON, is_mirrored
 from pose_server.pairs.moving import moving_masks
 from pose_server.pairs.pair import Pair
 from pose_server.pairs.suggesting import suggested
+from pose_server.pairs.trust import contrast
+from pose_server.pairs.trust_model import MODEL
 from pose_server.pairs.views import PreparedView
 
+_LACKING = -1.0  # sigmas: what explains less than most right poses may be a mirror image
 _FAR = 0.5  # median depth over depth
 _AT_PLACE = 0.012  # share of the focal length: matches that are where the pose says
 
@@ -33,9 +36,10 @@ def with_byproducts(pair: Pair, result: PairResult) -> PairResult:
 
 def with_mirror(pair: Pair, result: PairResult) -> PairResult:
     """The result, refused where the views fit far better if one of them is mirrored."""
-    evidence = result.evidence
-    agreeing = 0 if evidence is None else evidence.ratio_inliers
-    if result.verdict == "verified" or not is_mirrored(pair, agreeing):
+    e = result.evidence
+    if e is not None and result.verdict == "verified" and contrast(MODEL, e)[:2].min() > _LACKING:
+        return result
+    if not is_mirrored(pair, 0 if e is None else e.ratio_inliers):
         return result
     return replace(
         result,

@@ -2,7 +2,7 @@
 
 from pose_server.pairs.trust import TrustModel
 
-# fitted on church_herzjesu-sparse_noisy, courtyard2-u40-s21-sparse_noisy,
+# fitted on church_herzjesu-sparse_noisy, church_mirror, courtyard2-u40-s21-sparse_noisy,
 # facade-u40-s23-stereo_pair_sparse, house_dtu24-sparse_noisy, rgbd_7scenes_redkitchen_A--,
 # ring_temple-sparse_noisy, weak-u15-s22-stereo_dense
 MODEL = TrustModel(
@@ -15,18 +15,18 @@ MODEL = TrustModel(
     ),
     scatter=(0.4271, 0.4097, 0.5091, 0.6307, 0.6719),
     weights=(
-        0.04372,  # unexplained
-        0.112,  # found_by_guidance_alone
-        0.01587,  # surfaces_disagree
-        0.4596,  # seen_through
-        0.2795,  # holes
+        0.07795,  # unexplained
+        0.1609,  # found_by_guidance_alone
+        0,  # surfaces_disagree
+        0.4419,  # seen_through
+        0.1886,  # holes
         0,  # few_exact
         0,  # few_unguided
-        0.3732,  # hazy
-        0.7014,  # loose_depths
-        5.707,  # from_behind
-        0.919,  # undetermined
-        1.045,  # rival
+        0.0919,  # hazy
+        0.5532,  # loose_depths
+        6.742,  # from_behind
+        0.5113,  # undetermined
+        0.8626,  # rival
     ),
-    bias=-1.614,
+    bias=-3.477,
 )

@@ -144,8 +144,6 @@ def test_the_words_are_limits_on_the_probability():
         {"exact": 55},
         {"depth_noise": 2.5},
         {"through": 0.2},
-        {"agree": 0.3},
-        {"exact": 20, "inliers": 20},
         {"position_sigma": 0.02},
         {"share": 0.05},
         {"front": 0.3},
