@@ -71,6 +71,8 @@ def run(
     ):
         views = {view.index: view for pair in pairs for view in pair}
         flipped = mirrored_views(views, mirror_share)
+        # two such cameras see one mirrored world, of which the recording's truth says nothing
+        pairs = [(i, j) for i, j in pairs if not {i.index, j.index} <= flipped]
         wires, robot_ms = on_the_wire(
             recording, list(views.values()), Path(folder), pool, progress, mirrored=flipped
         )
