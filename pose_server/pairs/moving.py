@@ -24,8 +24,10 @@ _PIXEL_SIGMAS = 2.0  # matches of the same robot's views are off by more than fe
 
 
 def moving_masks(pair: Pair, result: PairResult) -> tuple[Mask | None, Mask | None]:
-    """Masks of both views of one robot, None where nothing moves or the alignment is not sure."""
-    if result.verdict != "verified" or result.T_i_j is None:
+    """Masks of both views of one robot, None where nothing moves or the alignment is not sure; what
+    moves is seen through, and makes it `plausible` at best.
+    """
+    if result.verdict not in ("verified", "plausible") or result.T_i_j is None:
         return None, None
     i, j = pair.i.observed, pair.j.observed
     matches = pair.ratio
