@@ -69,7 +69,7 @@ def test_without_a_sure_alignment_there_is_no_mask():
     pair = Pair(prepare_view(first), prepare_view(second), RATIO)
     sure = align_pair(pair.i, pair.j)
     assert moving_masks(pair, sure)[0] is not None
-    assert moving_masks(pair, replace(sure, verdict="plausible")) == (None, None)
+    assert moving_masks(pair, replace(sure, verdict="ambiguous")) == (None, None)
     assert moving_masks(pair, PairResult(None, None, "rejected", ())) == (None, None)
 
 
