@@ -1,4 +1,4 @@
-"""Shared by the tests of the operator's clients: a router, a fake server, pictures."""
+"""Shared by the tests of the operator's clients: a fake server, pictures."""
 
 import sys
 from pathlib import Path
@@ -14,7 +14,7 @@ from hmi_server import FakeServer
 from screen_makers import Clock
 
 from hmi_client.session import OperatorSession
-from protocol.transport import SessionSettings, free_port, open_session
+from protocol.transport import SessionSettings, open_session
 
 
 def checkered(robot: str, seq: int) -> bytes:
@@ -24,34 +24,6 @@ def checkered(robot: str, seq: int) -> bytes:
     image = cv2.merge((shade, np.full_like(shade, 90), np.full_like(shade, (37 * seq) % 200)))
     cv2.putText(image, robot, (200, 260), cv2.FONT_HERSHEY_SIMPLEX, 4, (255, 255, 255), 8)
     return cv2.imencode(".jpg", image)[1].tobytes()
-
-
-class Router:
-    """A router that can be ended and started again at the same endpoint."""
-
-    def __init__(self) -> None:
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
-        self.start()
-
-    def start(self) -> None:
-        self._session = open_session(SessionSettings(listen=(self.endpoint,)))
-
-    def close(self) -> None:
-        self._session.close()
-
-
-@pytest.fixture
-def own_router():
-    """A router of its own that the test may restart."""
-    started = Router()
-    yield started
-    started.close()
-
-
-@pytest.fixture
-def router(own_router):
-    """The endpoint of a router of its own."""
-    return own_router.endpoint
 
 
 @pytest.fixture

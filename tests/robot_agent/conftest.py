@@ -1,36 +1,8 @@
-"""Shared by the tests of the robot's agent: a router, and who listens to it."""
+"""Shared by the tests of the robot's agent: who listens to its router."""
 
 import pytest
 
-from protocol.transport import Link, SessionSettings, free_port, open_session
-
-
-class Router:
-    """A router that can be ended and started again at the same endpoint."""
-
-    def __init__(self) -> None:
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
-        self.start()
-
-    def start(self) -> None:
-        self._session = open_session(SessionSettings(listen=(self.endpoint,)))
-
-    def close(self) -> None:
-        self._session.close()
-
-
-@pytest.fixture
-def own_router():
-    """A router of its own that the test may restart."""
-    started = Router()
-    yield started
-    started.close()
-
-
-@pytest.fixture
-def router(own_router):
-    """The endpoint of a router of its own."""
-    return own_router.endpoint
+from protocol.transport import Link, SessionSettings, open_session
 
 
 @pytest.fixture
