@@ -4,6 +4,7 @@ A pair that fits as it is says that both cameras are alike, a pair that fits mir
 not. So robots fall into two kinds; those of the smaller kind flip their images.
 """
 
+from collections import deque
 from dataclasses import dataclass, field
 
 from pose_server.calibration.findings import RobotPair
@@ -60,21 +61,25 @@ class Mirrors:
         )
 
     def _groups(self) -> list[dict[str, bool]]:
-        """Robots by the kind that they are of, relative to the first one of their group."""
+        """Robots by the kind that they are of, relative to the first one of their group. Who fits
+        as it is is of one kind, whatever single pairs say: before a building that is its own mirror
+        image two healthy cameras fit mirrored now and then.
+        """
         groups: list[dict[str, bool]] = []
         left = {robot for pair in self._pairs for robot in pair}
         while left:
-            kinds = {min(left): False}
-            waiting = list(kinds)
+            kinds: dict[str, bool] = {}
+            waiting = deque([(min(left), False)])
             while waiting:
-                here = waiting.pop()
+                here, kind = waiting.popleft()
+                if here in kinds:
+                    continue
+                kinds[here] = kind
                 for pair, mirrored in self._pairs.items():
-                    if here not in pair:
-                        continue
-                    other = pair[0] if pair[1] == here else pair[1]
-                    if other not in kinds:
-                        kinds[other] = kinds[here] != mirrored
-                        waiting.append(other)
+                    if here in pair:
+                        other = pair[0] if pair[1] == here else pair[1]
+                        add = waiting.append if mirrored else waiting.appendleft
+                        add((other, kind != mirrored))
             groups.append(kinds)
             left -= set(kinds)
         return groups

@@ -69,3 +69,11 @@ def test_two_robots_alone_are_both_under_suspicion():
     assert not found.sure and set(found.robots) == {"r1", "r2"}
     said.forget("r2")
     assert said.flipped() == []
+
+
+def test_robots_that_fit_as_they_are_are_of_one_kind_whatever_a_single_pair_says():
+    for odd in (("r1", "r2"), ("r1", "r3"), ("r2", "r3")):
+        said = Mirrors()
+        for a, b in (("r1", "r2"), ("r2", "r3"), ("r1", "r3")):
+            said.note(a, b, (a, b) == odd)
+        assert said.flipped() == []
