@@ -18,14 +18,13 @@ _LEAST_SHARE = 0.1  # of these and the verified ones: fewer are corners of a pla
 
 def repetition(site: Site) -> float:
     """Share (0..1) of the pairs of robots that would be verified to which another pose looks right
-    too, or whose pose others refute; 0 where these are exceptions.
+    too, or whose pose others refuted; 0 where these are exceptions.
     """
-    refuted = _refuted(site)
     twofold = verified = 0
-    for pair, record in site.pairs.items():
+    for record in site.pairs.values():
         if record.last is None:
             continue
-        if record.last.twofold or pair in refuted:
+        if record.last.twofold or record.refuted:
             twofold += 1
         elif record.last.verdict == "verified":
             verified += 1
@@ -45,15 +44,12 @@ def believed(site: Site) -> Iterable[Edge]:
             yield edge
 
 
-def _refuted(site: Site) -> set[tuple[str, str]]:
-    """Pairs of robots with a verified edge that the last solution set aside."""
-    if site.solution is None:
-        return set()
-    return {
-        (min(edge.a.robot, edge.b.robot), max(edge.a.robot, edge.b.robot))
-        for key, edge in site.edges.items()
-        if edge.verdict == "verified"
-        and edge.kind == "pair"
-        and (said := site.solution.edges.get(key)) is not None
-        and said.outlier
-    }
+def note_refuted(site: Site) -> None:
+    """Remembers which pairs of robots have a verified edge that the solution set aside, until they
+    are aligned anew: once all are doubted, no solution sets one aside again.
+    """
+    assert site.solution is not None
+    for key, edge in site.edges.items():
+        said = site.solution.edges.get(key)
+        if edge.verdict == "verified" and edge.kind == "pair" and said is not None and said.outlier:
+            site.pair(edge.a.robot, edge.b.robot).refuted = True

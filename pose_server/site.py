@@ -110,6 +110,7 @@ class PairRecord:
         told: what operators were told about them.
         contradicted: what they are told where the solution contradicts those that are believed.
         last: the newest alignment, its views and when it ended: this is what is told of the pair.
+        refuted: a solution set a verified edge of the pair aside since then.
         best: by verdict, then inliers: what the agenda and the questions go by.
     """
 
@@ -124,6 +125,7 @@ class PairRecord:
     told: str = ""
     contradicted: str = ""
     last: PairResult | None = None
+    refuted: bool = False
     last_views: ViewPair | None = None
     last_s: float = -np.inf
     best: PairResult | None = None
