@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from evaluation.calibration import plot_reliability
 from evaluation.intervals import share_over_views
 from evaluation.pair_row import VERDICTS, PairRow, verified_nees
 from evaluation.report import new_figure
@@ -29,6 +30,7 @@ def plot_all(out: Path, rows: Sequence[PairRow], median_depth_m: float) -> dict[
         "rotation error": out / "rotation_error.png",
         "error in units of its own covariance": out / "nees.png",
         "time": out / "align_ms.png",
+        "reliability of the probability of a grave error": out / "reliability.png",
     }
     files = list(plots.values())
     plot_recall(files[0], rows, "angle_deg", ANGLE_STEP_DEG, "angle between the optical axes, deg")
@@ -42,6 +44,7 @@ def plot_all(out: Path, rows: Sequence[PairRow], median_depth_m: float) -> dict[
     _plot_errors(files[4], answered, turns, "rotation error, deg")
     plot_nees(files[5], rows)
     plot_times(files[6], rows)
+    plot_reliability(files[7], [r.p_grave for r in answered], [r.grave for r in answered])
     return plots
 
 
