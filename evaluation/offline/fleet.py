@@ -178,9 +178,8 @@ def _explained(server: OfflineServer) -> tuple[float, ...]:
 
 
 def explained_of(result: "PairResult") -> float | None:
-    """The explained share of an alignment; none where its evidence has none."""
-    explained = getattr(result.evidence, "explained", None)
-    return None if explained is None else float(explained.share)
+    """The explained share of an alignment; none where it has no evidence."""
+    return None if result.evidence is None else result.evidence.explained.share
 
 
 def remembering(folder: Path) -> Callable[["Job"], "PairResult"]:

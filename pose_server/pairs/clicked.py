@@ -288,7 +288,3 @@ def _agreeing(one: OperatorStart, T: Floats) -> tuple[bool, ...]:
 
 def _points(one: OperatorStart) -> str:
     return f"{int(one.inliers.sum())} points"
-
-
-def _grave(result: PairResult) -> float:
-    return min(result.p_grave, P_SUPPORTED)

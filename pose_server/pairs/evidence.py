@@ -32,8 +32,6 @@ class Evidence:
         spread: smaller extent of the matches in the images, share of the image height.
         depth_noise: depth noise found over depth noise stated.
         depth_sigma: relative sigma of the distance of two matching points along the ray, stated.
-        mean_agree: share of the compared points that agree, the mean of both directions.
-        overlap: share of the points that lie on the other view's, the mean of both directions.
         lead: by how many sigmas it finds more again than the best pose that the place's repetitions
             offer; `NO_RIVAL` where they offer none.
         explained: what should be seen from there and is found again.
@@ -58,7 +56,5 @@ class Evidence:
     spread: float
     depth_noise: float
     depth_sigma: float
-    mean_agree: float
-    overlap: float
     lead: float
     explained: Explained

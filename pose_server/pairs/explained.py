@@ -20,8 +20,8 @@ Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
 
-PARTS = 8  # across a view's width
-NO_CHANCE = 3.0  # places expected to be found in a part: none is found by chance in one of twenty
+_PARTS = 8  # across a view's width
+_NO_CHANCE = 3.0  # places expected to be found in a part: none is found by chance in one of twenty
 _CELL_PX = 4.0  # copies of one spot in several tilted images are one place
 
 
@@ -110,21 +110,27 @@ def visible_in(
     mask = np.zeros(len(source.observed.uv), bool)
     mask[predicted.index[seen]] = True
     here = source.observed.points[predicted.index[seen]]
-    return Visible(mask, *_seen_from_both(here, T_target_source))
+    return Visible(mask, *seen_from_both(here, T_target_source))
 
 
 def holes(view: Observed, visible: Bools, found: Indices) -> float:
     """Share of the visible points (N,) in parts of an image in which none is among those found."""
     if not visible.any():
         return 0.0
-    cells = np.floor(view.uv[visible] / (view.size[0] / PARTS)).astype(np.int64)
-    part = cells[:, 1] * PARTS + cells[:, 0]
     again = np.zeros(len(view.uv), bool)
     again[found] = True
+    return empty_parts(view, view.uv[visible], again[visible]) / int(visible.sum())
+
+
+def empty_parts(view: Observed, uv: Floats, again: Bools) -> int:
+    """How many pixels (N, 2) lie in parts of an image in which none of them is found `again` (N,),
+    though by the share of all some should be.
+    """
+    cells = np.floor(uv / (view.size[0] / _PARTS)).astype(np.int64)
+    part = cells[:, 1] * _PARTS + cells[:, 0]
     places = np.bincount(part)
-    here = np.bincount(part, weights=again[visible])
-    empty = (here == 0) & (again[visible].mean() * places >= NO_CHANCE)
-    return float(places[empty].sum() / places.sum())
+    found = np.bincount(part, weights=again)
+    return int(places[(found == 0) & (again.mean() * places >= _NO_CHANCE)].sum())
 
 
 def count_places(uv: Floats) -> int:
@@ -132,7 +138,7 @@ def count_places(uv: Floats) -> int:
     return len(np.unique(np.rint(uv / _CELL_PX), axis=0))
 
 
-def _seen_from_both(points: Floats, T_target_source: Floats) -> tuple[Floats, Floats]:
+def seen_from_both(points: Floats, T_target_source: Floats) -> tuple[Floats, Floats]:
     """Angle between both cameras' rays to points (M, 3), and |log| of the ratio of distances."""
     there = transform(T_target_source, points)
     turned = points @ T_target_source[:3, :3].T

@@ -18,7 +18,8 @@ import numpy.typing as npt
 
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.refine import NoiseScale
-from pose_server.geometry.se3 import inverse, transform
+from pose_server.geometry.se3 import inverse
+from pose_server.pairs.explained import seen_from_both
 from pose_server.pairs.pair import Pair
 
 Floats = npt.NDArray[np.floating]
@@ -118,11 +119,8 @@ def _visible(pair: Pair, T: Floats) -> tuple[int, float]:
     in_i, in_j = j.predict_in(i, T, 0.0).index, i.predict_in(j, inverse(T), 0.0).index
     if not len(in_i) or not len(in_j):
         return 0, 0.0
-    here = j.points[in_i] @ T[:3, :3].T
-    there = transform(T, j.points[in_i])
-    lengths = np.linalg.norm(here, axis=1) * np.linalg.norm(there, axis=1)
-    cosine = (here * there).sum(axis=1) / np.maximum(lengths, 1e-12)
-    return min(len(in_i), len(in_j)), float(np.median(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    parallax_rad, _ = seen_from_both(j.points[in_i], T)
+    return min(len(in_i), len(in_j)), float(np.median(parallax_rad))
 
 
 def _tilt_rad(pair: Pair, T: Floats) -> float:

@@ -14,7 +14,7 @@ from pose_server.geometry.refine import NoiseScale, Refinement
 from pose_server.geometry.se3 import inverse, position_covariance, rotation_angle, transform
 from pose_server.geometry.structure import Structure
 from pose_server.pairs.evidence import NO_RIVAL, Evidence
-from pose_server.pairs.explained import explained
+from pose_server.pairs.explained import count_places, explained
 from pose_server.pairs.hearing import Hearing
 from pose_server.pairs.pair import Pair
 from pose_server.pairs.rivals import EXACT_SIGMAS, exact_matches, left_over, rivals_of
@@ -190,25 +190,18 @@ def _evidence(
         rotation_sigma_rad=_weakest(covariance[:3, :3]),
         across_px=_robust_sigma(final.across_px[inliers]),
         pixel_sigma_px=pixel_sigma_px,
-        shift=_apart(pair, rest, again.T_i_j),
+        shift=pair.apart(rest, again.T_i_j)[0],
         turn_rad=rotation_angle(again.T_i_j[:3, :3].T @ rest[:3, :3]),
-        pulled=_apart(pair, rest, T),
+        pulled=pair.apart(rest, T)[0],
         compared=seen.compared,
         agree=seen.agree,
         through=seen.through,
         spread=_spread(pair, matches[inliers]),
         depth_noise=again.noise.depth,
         depth_sigma=pair.sigma,
-        mean_agree=seen.mean_agree,
-        overlap=seen.overlap,
         lead=NO_RIVAL,
         explained=found_again,
     )
-
-
-def _apart(pair: Pair, a: Floats, b: Floats) -> float:
-    """How far two poses' positions are apart, share of the depth."""
-    return float(np.linalg.norm(a[:3, 3] - b[:3, 3])) / pair.depth_m
 
 
 def _weakest(covariance: Floats) -> float:
@@ -221,14 +214,9 @@ def _robust_sigma(residuals: Floats) -> float:
 
 
 def _places(pair: Pair, matches: Indices) -> int:
-    """Matches at distinct places, on a grid of 4 px in both views: copies of one spot count
-    once.
-    """
-    if len(matches) == 0:
-        return 0
-    cells_i = np.unique(np.rint(pair.i.observed.uv[matches[:, 0]] / 4), axis=0)
-    cells_j = np.unique(np.rint(pair.j.observed.uv[matches[:, 1]] / 4), axis=0)
-    return min(len(cells_i), len(cells_j))
+    """Matches at distinct places in both views: copies of one spot count once."""
+    uv_i, uv_j = pair.i.observed.uv[matches[:, 0]], pair.j.observed.uv[matches[:, 1]]
+    return min(count_places(uv_i), count_places(uv_j))
 
 
 def _spread(pair: Pair, matches: Indices) -> float:

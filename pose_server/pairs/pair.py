@@ -15,7 +15,7 @@ Indices = npt.NDArray[np.int64]
 RATIO = 0.9
 WIDE_RATIO = 0.95  # of wide sets: with tilted copies the second best is often the same place
 _SAME_POSE = 0.02  # share of the depth, and radians
-_GRAVE_POSITION, _GRAVE_ROTATION_RAD = 0.05, 0.087  # share of the depth; 5 deg
+GRAVE_POSITION, GRAVE_ROTATION_RAD = 0.05, 0.087  # share of the depth; 5 deg
 _COMMON_NOISE = NoiseScale(1.0, 1.2)  # candidates are compared at the same noise
 _SCORED_RADIUS = 0.006  # share of the depth
 
@@ -84,14 +84,14 @@ class Pair:
 
     def same_pose(self, a: Floats, b: Floats) -> bool:
         """Whether two poses are one: a start from either leads to the same place."""
-        return max(self._apart(a, b)) < _SAME_POSE
+        return max(self.apart(a, b)) < _SAME_POSE
 
     def gravely_apart(self, a: Floats, b: Floats) -> bool:
         """Whether one of two poses must be gravely off: nearer ones are no rivals."""
-        shift, turn_rad = self._apart(a, b)
-        return shift > _GRAVE_POSITION or turn_rad > _GRAVE_ROTATION_RAD
+        shift, turn_rad = self.apart(a, b)
+        return shift > GRAVE_POSITION or turn_rad > GRAVE_ROTATION_RAD
 
-    def _apart(self, a: Floats, b: Floats) -> tuple[float, float]:
+    def apart(self, a: Floats, b: Floats) -> tuple[float, float]:
         """Distance of two poses' positions as a share of the depth, and the angle between them."""
         shift = float(np.linalg.norm(a[:3, 3] - b[:3, 3])) / self.depth_m
         return shift, rotation_angle(a[:3, :3].T @ b[:3, :3])

@@ -20,7 +20,7 @@ from pose_server.geometry.matching import NO_MATCHES
 from pose_server.geometry.refine import NoiseScale
 from pose_server.geometry.se3 import inverse
 from pose_server.geometry.triangles import MOST_MATCHES, poses_by_triangles
-from pose_server.pairs.explained import NO_CHANCE, PARTS, count_places, visible_in
+from pose_server.pairs.explained import count_places, empty_parts, visible_in
 from pose_server.pairs.pair import Pair
 from pose_server.pairs.views import PreparedView
 
@@ -185,14 +185,8 @@ def _holes_in(of: "_Claim", beside: "_Claim", column: int) -> int:
     known = beside.found[column]
     if known.sum() < _COMMON:
         return 0
-    cells = np.floor(view.uv[known] / (view.size[0] / PARTS)).astype(np.int64)
-    part = cells[:, 1] * PARTS + cells[:, 0]
     repeated = beside.repeated[column] & ~of.expected[column]
-    again = (of.found[column] | repeated)[known]
-    places = np.bincount(part)
-    found = np.bincount(part, weights=again)
-    rate = again.mean()
-    return int(places[(found == 0) & (rate * places >= NO_CHANCE)].sum())
+    return empty_parts(view, view.uv[known], (of.found[column] | repeated)[known])
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +198,6 @@ class _Claim:
             are found again to the pixel.
         agreeing: (M, 2) the matches that say so.
         places: distinct places found.
-        share: of the places expected.
     """
 
     T_i_j: Floats
@@ -213,7 +206,6 @@ class _Claim:
     agreeing: Indices
     found: tuple[Bools, Bools]
     places: int
-    share: float
 
     @classmethod
     def of(cls, pair: Pair, T: Floats) -> "_Claim":
@@ -225,9 +217,8 @@ class _Claim:
         agreeing = exact_matches(pair, T, matches)
         found = _masks(pair, agreeing)
         views = pair.i.observed, pair.j.observed
-        seen = min(count_places(v.uv[mask]) for v, mask in zip(views, expected, strict=True))
         places = min(count_places(v.uv[mask]) for v, mask in zip(views, found, strict=True))
-        return cls(T, pair, expected, agreeing, found, places, places / max(seen, 1))
+        return cls(T, pair, expected, agreeing, found, places)
 
     @cached_property
     def repeated(self) -> tuple[Bools, Bools]:

@@ -5,6 +5,7 @@ what determines the pose; each test has its reason. A false `verified` is the wo
 from typing import Literal
 
 from pose_server.pairs.evidence import Evidence
+from pose_server.pairs.pair import GRAVE_POSITION, GRAVE_ROTATION_RAD
 from pose_server.pairs.trust import REJECTED_P_GRAVE, VERIFIED_P_GRAVE, stands
 
 Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
@@ -12,19 +13,17 @@ Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
 # What is verified is not gravely wrong: three sigma of its weakest direction, what a refit on all
 # matches moves it, and what surfaces have moved it, lie within 5 % of the median depth together;
 # three sigma of its rotation lie within 5 deg
-_VERIFIED_POSITION = 0.05
-_VERIFIED_ROTATION_RAD = 0.087
 _LEAST_FRONT, _TOLD_SIDES = 0.4, 20  # of the surfaces, from their front; of so many that tell
 _ALIAS = "the place repeats itself: another pose finds as much again"
 
 
 def judge(e: Evidence, p_grave: float) -> tuple[Verdict, tuple[str, ...]]:
     """The verdict on a pose that is gravely off with this probability, and the reasons for it."""
-    if reasons := against(e, p_grave):
+    if reasons := _against(e, p_grave):
         return "rejected", reasons
     if stands(e.lead):
         return "ambiguous", (_ALIAS,)
-    if reasons := doubts(e, p_grave):
+    if reasons := _doubts(e, p_grave):
         return "plausible", reasons
     return "verified", (f"{e.inliers} matches agree to {e.across_px:.2f} px",)
 
@@ -36,7 +35,7 @@ def needed_matches(ratio_matches: int) -> int:
     return 10 + ratio_matches // 100
 
 
-def against(e: Evidence, p_grave: float) -> tuple[str, ...]:
+def _against(e: Evidence, p_grave: float) -> tuple[str, ...]:
     """Signs that the pose is wrong, or that nothing supports it."""
     return _said(
         (e.inliers < 8, f"only {e.inliers} matches agree, need 8"),
@@ -55,20 +54,20 @@ def against(e: Evidence, p_grave: float) -> tuple[str, ...]:
     )
 
 
-def doubts(e: Evidence, p_grave: float) -> tuple[str, ...]:
+def _doubts(e: Evidence, p_grave: float) -> tuple[str, ...]:
     """What keeps a pose from being verified."""
     off = 3 * e.position_sigma + e.shift + e.pulled
     return _said(
         (e.exact < 14, f"{e.exact} matches agree to the pixel, need 14"),
         (
-            off > _VERIFIED_POSITION,
+            off > GRAVE_POSITION,
             f"three sigma of the position, and what a refit and surfaces move it, are {off:.1%} "
-            f"of the depth, need {_VERIFIED_POSITION:.0%}",
+            f"of the depth, need {GRAVE_POSITION:.0%}",
         ),
         (
-            3 * e.rotation_sigma_rad > _VERIFIED_ROTATION_RAD,
+            3 * e.rotation_sigma_rad > GRAVE_ROTATION_RAD,
             f"three sigma of the rotation are {3 * e.rotation_sigma_rad:.3f} rad, need "
-            f"{_VERIFIED_ROTATION_RAD:.3f}",
+            f"{GRAVE_ROTATION_RAD:.3f}",
         ),
         (e.shift > 0.015, f"a refit moves the pose by {e.shift:.1%} of the depth"),
         (e.compared < 20, f"{e.compared} surface points compared, need 20"),

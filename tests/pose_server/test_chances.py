@@ -108,8 +108,6 @@ def evidence(**more):
         "spread": 0.2,
         "depth_noise": 1.0,
         "depth_sigma": 0.01,
-        "mean_agree": 0.6,
-        "overlap": 0.4,
         "exact": 50,
         "rivalled": 14,
         "lead": NO_RIVAL,
