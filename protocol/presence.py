@@ -99,10 +99,13 @@ class LiveServer:
         Raises:
             CodecError: it is not that of the server that lives.
         """
-        if epoch == self.epoch or (epoch in self._asked() and epoch not in self._epochs):
+        if epoch == self.epoch:
             return
-        lives = self.epoch or "none"
-        raise CodecError(f"{what} of server {epoch} that is not alive: alive is {lives}")
+        told = epoch in self._asked()
+        lives = self.epoch
+        if epoch == lives or (told and epoch not in self._epochs):  # its token came, or will
+            return
+        raise CodecError(f"{what} of server {epoch} that is not alive: alive is {lives or 'none'}")
 
     def _asked(self) -> tuple[str, ...]:
         """The epochs of the servers that live, as the network says."""

@@ -85,3 +85,10 @@ def test_a_flood_of_strangers_asks_the_network_once_in_a_lease(server, network):
 def test_a_token_that_is_no_epoch_is_nobody(server, network):
     network.note("fleet/demo/server/alive/x", True)
     assert server.epoch is None
+
+
+def test_a_token_that_comes_while_the_network_is_asked_counts(server, network):
+    network.tokens.append(A)
+    ask = network.alive
+    network.alive = lambda *call: (network.show(A), ask(*call))[1]
+    assert refused(server, A) is None
