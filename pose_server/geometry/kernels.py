@@ -21,6 +21,20 @@ def _cell(value: float, cell_px: float, count: int) -> int:
     return min(max(int(value // cell_px), 0), count - 1)
 
 
+@njit("i8[::1](i8[::1])", cache=True)
+def first_of_each(values: Indices) -> Indices:
+    """Where each of the values (N,), none negative, comes first, in order."""
+    seen = np.zeros(values.max() + 1 if len(values) else 0, np.bool_)
+    first = np.empty(len(values), np.int64)
+    count = 0
+    for n in range(len(values)):
+        if not seen[values[n]]:
+            seen[values[n]] = True
+            first[count] = n
+            count += 1
+    return first[:count]
+
+
 @njit("f8(f4[::1], f4[::1])", cache=True, fastmath={"reassoc", "contract"})
 def _dot(a: Descriptors, b: Descriptors) -> float:
     total = np.float32(0.0)

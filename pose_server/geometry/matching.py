@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pose_server.geometry.kernels import best_around
+from pose_server.geometry.kernels import best_around, first_of_each
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -153,6 +153,12 @@ def one_to_one(matches: Indices, score: Floats) -> Indices:
     """Keeps for every point its best match only."""
     ordered = matches[np.argsort(-score, kind="stable")]
     for column in (0, 1):
-        _, first = np.unique(ordered[:, column], return_index=True)
-        ordered = ordered[np.sort(first)]
+        ordered = ordered[first_of_each(np.ascontiguousarray(ordered[:, column]))]
     return ordered
+
+
+def union(*found: Indices) -> Indices:
+    """All matches (M, 2) of several searches, each once, in their order by index."""
+    both = np.concatenate(found)
+    keys = np.unique(both[:, 0] << 32 | both[:, 1])  # one column is sorted far faster than two
+    return np.column_stack((keys >> 32, keys & 0xFFFFFFFF))

@@ -135,7 +135,8 @@ def empty_parts(view: Observed, uv: Floats, again: Bools) -> int:
 
 def count_places(uv: Floats) -> int:
     """Distinct places among pixels (N, 2)."""
-    return len(np.unique(np.rint(uv / _CELL_PX), axis=0))
+    cells = np.rint(uv / _CELL_PX).astype(np.int64)
+    return len(np.unique(cells[:, 0] << 32 | cells[:, 1]))
 
 
 def seen_from_both(points: Floats, T_target_source: Floats) -> tuple[Floats, Floats]:

@@ -9,6 +9,7 @@ from pose_server.calibration.compare import DepthErrors
 from pose_server.calibration.shift import DepthShift
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.evidence import Agreement
+from pose_server.geometry.matching import union
 from pose_server.geometry.motion import Mask
 from pose_server.geometry.refine import NoiseScale, Refinement
 from pose_server.geometry.se3 import inverse, position_covariance, rotation_angle, transform
@@ -30,6 +31,7 @@ Indices = npt.NDArray[np.int64]
 # depth).
 COVARIANCE_INFLATION = 2.8
 COVARIANCE_FLOOR = 3e-4
+_JUDGED_RADIUS = 0.008  # around predicted places, share of the depth
 _MOST_PIXEL_NOISE = 4.0  # that may be found at a pose: an alias shows by it
 
 
@@ -85,25 +87,11 @@ def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None
         T_by_matches: the pose by matches alone, where surfaces have moved it since: matches are
             compared at it.
     """
-    rest = T if T_by_matches is None else T_by_matches
-    matches = np.unique(np.concatenate((pair.guided(rest, 0.008), pair.ratio)), axis=0)
     seen = pair.agreement(T)
-    if len(matches) < 6:
-        reason = f"{len(matches)} matches at the found pose, need 6"
-        return PairResult(T, None, "rejected", (reason,), overlap=seen.overlap, start=start)
     try:
-        again = pair.refined(rest, matches, NoiseScale(), 4, _MOST_PIXEL_NOISE)
-        final = pair.scored(rest, matches, again.noise)
+        evidence, covariance, agreeing = _collected(pair, T, T_by_matches, seen)
     except DegenerateGeometryError as error:
         return PairResult(T, None, "rejected", (str(error),), overlap=seen.overlap, start=start)
-    # copies of one spot in several tilted images tell one thing, not several
-    places = _places(pair, matches[final.inliers])
-    information = final.information * (places / max(int(final.inliers.sum()), 1))
-    covariance = _calibrated(information, pair.depth_m)
-    if covariance is None:
-        reason = "the matches do not determine a pose"
-        return PairResult(T, None, "rejected", (reason,), overlap=seen.overlap, start=start)
-    evidence = _evidence(pair, T, matches, final, again, covariance, places, seen)
     chance = p_grave(evidence, MODEL)
     verdict, reasons = judge(evidence, chance)
     error_m2, count = regression_error(pair, T)
@@ -120,7 +108,7 @@ def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None
         start=start,
         evidence=evidence,
         p_grave=chance,
-        structure=Structure.of(pair.i.observed.points[matches[final.inliers, 0]]),
+        structure=Structure.of(pair.i.observed.points[agreeing[:, 0]]),
     )
 
 
@@ -132,7 +120,7 @@ def contested(pair: Pair, result: PairResult) -> PairResult:
     own = pair.i.name.robot == pair.j.name.robot
     if own or e is None or T is None or result.verdict not in ("verified", "plausible"):
         return result
-    matches = np.unique(np.concatenate((pair.guided(T, 0.008), pair.ratio)), axis=0)
+    matches = union(pair.guided(T, _JUDGED_RADIUS), pair.ratio)
     rivals = [
         rival
         for rival in rivals_of(pair, T, exact_matches(pair, T, matches))
@@ -156,8 +144,34 @@ def contested(pair: Pair, result: PairResult) -> PairResult:
 
 def _own_chance(pair: Pair, T: Floats) -> float:
     """How likely a pose is gravely off by its own evidence, whatever else is possible."""
-    evidence = judged(pair, T, "rival").evidence
-    return 1.0 if evidence is None else p_grave(evidence, MODEL)
+    try:
+        return p_grave(_collected(pair, T, None, pair.agreement(T))[0], MODEL)
+    except DegenerateGeometryError:
+        return 1.0
+
+
+def _collected(
+    pair: Pair, T: Floats, T_by_matches: Floats | None, seen: Agreement
+) -> tuple[Evidence, Floats, Indices]:
+    """All evidence for a pose, its covariance (6, 6), and the matches (M, 2) that agree with it.
+
+    Raises:
+        DegenerateGeometryError: the matches do not determine a pose.
+    """
+    rest = T if T_by_matches is None else T_by_matches
+    matches = union(pair.guided(rest, _JUDGED_RADIUS), pair.ratio)
+    if len(matches) < 6:
+        raise DegenerateGeometryError(f"{len(matches)} matches at the found pose, need 6")
+    again = pair.refined(rest, matches, NoiseScale(), 4, _MOST_PIXEL_NOISE)
+    final = pair.scored(rest, matches, again.noise)
+    # copies of one spot in several tilted images tell one thing, not several
+    places = _places(pair, matches[final.inliers])
+    information = final.information * (places / max(int(final.inliers.sum()), 1))
+    covariance = _calibrated(information, pair.depth_m)
+    if covariance is None:
+        raise DegenerateGeometryError("the matches do not determine a pose")
+    evidence = _evidence(pair, T, matches, final, again, covariance, places, seen)
+    return evidence, covariance, matches[final.inliers]
 
 
 def _evidence(

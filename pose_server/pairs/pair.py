@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.geometry.evidence import Agreement, agreement
-from pose_server.geometry.matching import guided_matches, one_to_one, ratio_matches
+from pose_server.geometry.matching import guided_matches, one_to_one, ratio_matches, union
 from pose_server.geometry.refine import NoiseScale, Refinement, refine
 from pose_server.geometry.se3 import inverse, rotation_angle
 from pose_server.pairs.views import PreparedView
@@ -38,6 +38,7 @@ class Pair:
         found, cosines = ratio_matches(i.descriptors[lifted_i], j.descriptors[lifted_j], ratio)
         found = found[np.argsort(-cosines, kind="stable")]
         self.ratio = np.column_stack((lifted_i[found[:, 0]], lifted_j[found[:, 1]]))
+        self._guided: dict[tuple[bytes, float, bool], Indices] = {}
 
     def points(self, matches: Indices) -> tuple[Floats, Floats]:
         return self.i.observed.points[matches[:, 0]], self.j.observed.points[matches[:, 1]]
@@ -61,6 +62,13 @@ class Pair:
         """Matches around the predicted places of j's points in i, and of i's in j; the radius is a
         share of the depth.
         """
+        key = T.tobytes(), radius, both_ways  # a pose is looked at by several steps
+        known = self._guided.get(key)
+        if known is None:
+            known = self._guided[key] = self._guided_at(T, radius, both_ways)
+        return known
+
+    def _guided_at(self, T: Floats, radius: float, both_ways: bool) -> Indices:
         found = [self._around(self.j, self.i, T, radius)]
         if both_ways:
             matches, cosines = self._around(self.i, self.j, inverse(T), radius)
@@ -110,7 +118,7 @@ class Pair:
         Matches are those by descriptor alone and those around the pose's own predictions: only the
         right pose has many of these to the pixel.
         """
-        matches = np.unique(np.concatenate((self.ratio, self.guided(T, _SCORED_RADIUS))), axis=0)
+        matches = union(self.ratio, self.guided(T, _SCORED_RADIUS))
         support = self.support(T, matches)
         if self.i.dense and self.j.dense:
             support = support**0.5

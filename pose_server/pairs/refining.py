@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pose_server.geometry import robust
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.icp import SurfaceFit, gicp
-from pose_server.geometry.matching import NO_MATCHES, ratio_matches
+from pose_server.geometry.matching import NO_MATCHES, ratio_matches, union
 from pose_server.geometry.refine import NoiseScale, Refinement
 from pose_server.geometry.se3 import rotation_angle, transform, weighted_mean
 from pose_server.geometry.triangles import poses_by_triangles
@@ -226,9 +226,7 @@ def _guided(
 ) -> list[Candidate]:
     found = None
     for radius in radii:
-        matches = np.unique(
-            np.concatenate((pair.guided(T, radius, both_ways=radius == radii[-1]), kept)), axis=0
-        )
+        matches = union(pair.guided(T, radius, both_ways=radius == radii[-1]), kept)
         if len(matches) < _LEAST_MATCHES:
             return []
         some = matches[:: 1 + len(matches) // _ENOUGH_MATCHES]

@@ -8,7 +8,6 @@ of both poses finds again.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from pose_server.geometry import robust
 from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.matching import NO_MATCHES
+from pose_server.geometry.matching import NO_MATCHES, union
 from pose_server.geometry.refine import NoiseScale
 from pose_server.geometry.se3 import inverse
 from pose_server.geometry.triangles import MOST_MATCHES, poses_by_triangles
@@ -185,8 +184,9 @@ def _holes_in(of: "_Claim", beside: "_Claim", column: int) -> int:
     known = beside.found[column]
     if known.sum() < _COMMON:
         return 0
-    repeated = beside.repeated[column] & ~of.expected[column]
-    return empty_parts(view, view.uv[known], (of.found[column] | repeated)[known])
+    unseen = known & ~of.found[column] & ~of.expected[column]
+    accounted = of.found[column] | beside.repeated(unseen, column)
+    return empty_parts(view, view.uv[known], accounted[known])
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,20 +213,25 @@ class _Claim:
             visible_in(pair.i, pair.j, inverse(T), pair.sigma).mask,
             visible_in(pair.j, pair.i, T, pair.sigma).mask,
         )
-        matches = np.unique(np.concatenate((pair.guided(T, 0.006), pair.ratio)), axis=0)
+        matches = union(pair.guided(T, 0.006), pair.ratio)
         agreeing = exact_matches(pair, T, matches)
         found = _masks(pair, agreeing)
         views = pair.i.observed, pair.j.observed
         places = min(count_places(v.uv[mask]) for v, mask in zip(views, found, strict=True))
         return cls(T, pair, expected, agreeing, found, places)
 
-    @cached_property
-    def repeated(self) -> tuple[Bools, Bools]:
-        """Of the points found, what has something like it elsewhere in the other view."""
+    def repeated(self, points: Bools, column: int) -> Bools:
+        """Which of these points (N,) of a view, found, have something like them elsewhere in the
+        other view.
+        """
         i, j = self.pair.i, self.pair.j
-        of_i = _elsewhere_in(j, i, self.agreeing[:, ::-1])[:, ::-1]
-        of_j = _elsewhere_in(i, j, self.agreeing)
-        return _masks(self.pair, of_i)[0], _masks(self.pair, of_j)[1]
+        asked = self.agreeing[points[self.agreeing[:, column]]]
+        out = np.zeros(len(points), bool)
+        if column == 0:
+            out[_elsewhere_in(j, i, asked[:, ::-1])[:, 1]] = True
+        else:
+            out[_elsewhere_in(i, j, asked)[:, 1]] = True
+        return out
 
 
 def _masks(pair: Pair, matches: Indices) -> tuple[Bools, Bools]:
