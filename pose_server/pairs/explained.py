@@ -22,6 +22,7 @@ Bools = npt.NDArray[np.bool_]
 
 _PARTS = 8  # across a view's width
 _NO_CHANCE = 3.0  # places expected to be found in a part: none is found by chance in one of twenty
+_EASY_PARALLAX_RAD, _EASY_SCALE = np.radians(40.0), np.log(1.6)
 _CELL_PX = 4.0  # copies of one spot in several tilted images are one place
 
 
@@ -65,6 +66,13 @@ class Visible:
     mask: Bools
     parallax_rad: Floats
     scale: Floats
+
+    @property
+    def easily(self) -> Bools:
+        """(N,) which of them look much the same from there, so that they are hardly missed."""
+        out = self.mask.copy()
+        out[self.mask] = (self.parallax_rad < _EASY_PARALLAX_RAD) & (self.scale < _EASY_SCALE)
+        return out
 
 
 def explained(pair: Pair, T: Floats, agreeing: Indices, unguided: Bools) -> Explained:

@@ -14,11 +14,12 @@ from pose_server.geometry.motion import Mask
 from pose_server.geometry.refine import NoiseScale, Refinement
 from pose_server.geometry.se3 import inverse, position_covariance, rotation_angle, transform
 from pose_server.geometry.structure import Structure
+from pose_server.pairs.aliases import aliases_of
 from pose_server.pairs.evidence import NO_RIVAL, Evidence
 from pose_server.pairs.explained import count_places, explained
 from pose_server.pairs.hearing import Hearing
-from pose_server.pairs.pair import Pair
-from pose_server.pairs.rivals import EXACT_SIGMAS, exact_matches, left_over, rivals_of
+from pose_server.pairs.pair import EXACT_SIGMAS, Pair
+from pose_server.pairs.rivals import left_over, rivals_of
 from pose_server.pairs.trust import RIVAL_P_GRAVE, p_grave, stands, with_rivals
 from pose_server.pairs.trust_model import MODEL
 from pose_server.pairs.verdict import Verdict, judge
@@ -47,7 +48,8 @@ class PairResult:
     that the images support as well. `mirrored`: the views fit only if one of them is mirrored.
     `structure` is what of the world its matches rest on, in the frame of view i; `hearing` what
     became of the clicks it was made with. `twofold`: it would be verified, but another pose looks
-    right as well; `singled_out`: others looked right, but saw less of what is there.
+    right as well; `singled_out`: others looked right, but saw less of what is there. `repeats`: one
+    of the views shows the same more than once.
     """
 
     T_i_j: Floats | None
@@ -73,6 +75,7 @@ class PairResult:
     mirrored: bool = False
     twofold: bool = False
     singled_out: bool = False
+    repeats: bool = False
     structure: Structure | None = None
     hearing: Hearing | None = None
 
@@ -123,9 +126,10 @@ def contested(pair: Pair, result: PairResult) -> PairResult:
     matches = union(pair.guided(T, _JUDGED_RADIUS), pair.ratio)
     rivals = [
         rival
-        for rival in rivals_of(pair, T, exact_matches(pair, T, matches))
-        if _own_chance(pair, rival.T_i_j) < RIVAL_P_GRAVE
+        for rival in rivals_of(pair, T, pair.exact(T, matches))
+        if rival.by_itself or _own_chance(pair, rival.T_i_j) < RIVAL_P_GRAVE
     ]
+    result = replace(result, repeats=bool(aliases_of(pair.i) or aliases_of(pair.j)))
     if not rivals:
         return result
     e = replace(e, lead=min(rival.lead for rival in rivals))
@@ -189,8 +193,7 @@ def _evidence(
     unguided = ratio.inliers if ratio else np.zeros(len(pair.ratio), bool)
     consistent = _places(pair, pair.ratio[unguided])
     inliers = final.inliers
-    pixel_sigma_px = float(np.hypot(pair.i.observed.pixel_sigma_px, pair.j.observed.pixel_sigma_px))
-    exact = inliers & (np.abs(final.across_px) < EXACT_SIGMAS * pixel_sigma_px)
+    exact = inliers & (np.abs(final.across_px) < EXACT_SIGMAS * pair.pixel_px)
     rival, rivalled = _rival(pair, rest, ratio, again.noise)
     found_again = explained(pair, rest, matches[exact], unguided)
     return Evidence(
@@ -203,7 +206,7 @@ def _evidence(
         position_sigma=_weakest(position_covariance(T, covariance)) / pair.depth_m,
         rotation_sigma_rad=_weakest(covariance[:3, :3]),
         across_px=_robust_sigma(final.across_px[inliers]),
-        pixel_sigma_px=pixel_sigma_px,
+        pixel_sigma_px=pair.pixel_px,
         shift=pair.apart(rest, again.T_i_j)[0],
         turn_rad=rotation_angle(again.T_i_j[:3, :3].T @ rest[:3, :3]),
         pulled=pair.apart(rest, T)[0],

@@ -3,8 +3,15 @@
 import numpy as np
 import numpy.typing as npt
 
+from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.evidence import Agreement, agreement
-from pose_server.geometry.matching import guided_matches, one_to_one, ratio_matches, union
+from pose_server.geometry.matching import (
+    NO_MATCHES,
+    guided_matches,
+    one_to_one,
+    ratio_matches,
+    union,
+)
 from pose_server.geometry.refine import NoiseScale, Refinement, refine
 from pose_server.geometry.se3 import inverse, rotation_angle
 from pose_server.pairs.views import PreparedView
@@ -17,6 +24,8 @@ WIDE_RATIO = 0.95  # of wide sets: with tilted copies the second best is often t
 _SAME_POSE = 0.02  # share of the depth, and radians
 GRAVE_POSITION, GRAVE_ROTATION_RAD = 0.05, 0.087  # share of the depth; 5 deg
 _COMMON_NOISE = NoiseScale(1.0, 1.2)  # candidates are compared at the same noise
+OWN_NOISE = NoiseScale(1.0, 1.5)  # of cameras that are what they state
+EXACT_SIGMAS = 2.5  # across the epipolar line: a wider one is found by chance around any place
 _SCORED_RADIUS = 0.006  # share of the depth
 
 
@@ -103,6 +112,23 @@ class Pair:
         """Distance of two poses' positions as a share of the depth, and the angle between them."""
         shift = float(np.linalg.norm(a[:3, 3] - b[:3, 3])) / self.depth_m
         return shift, rotation_angle(a[:3, :3].T @ b[:3, :3])
+
+    def exact(self, T: Floats, matches: Indices) -> Indices:
+        """The matches (M, 2) that agree with a pose at the cameras' own noise, to the pixel across
+        the epipolar lines.
+        """
+        if len(matches) < 3:
+            return NO_MATCHES
+        try:
+            scored = self.scored(T, matches, OWN_NOISE)
+        except DegenerateGeometryError:
+            return NO_MATCHES
+        return matches[scored.inliers & (np.abs(scored.across_px) < EXACT_SIGMAS * self.pixel_px)]
+
+    @property
+    def pixel_px(self) -> float:
+        """Sigma of the difference of two matching pixels, as the cameras state it."""
+        return float(np.hypot(self.i.observed.pixel_sigma_px, self.j.observed.pixel_sigma_px))
 
     def support(self, T: Floats, matches: Indices) -> float:
         """How many matches agree with a pose, at a noise level that is the same for all poses."""

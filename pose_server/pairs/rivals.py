@@ -7,7 +7,7 @@ other view, is where a rival would put that point. What breaks the tie are the p
 of both poses finds again.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +19,9 @@ from pose_server.geometry.matching import NO_MATCHES, union
 from pose_server.geometry.refine import NoiseScale
 from pose_server.geometry.se3 import inverse
 from pose_server.geometry.triangles import MOST_MATCHES, poses_by_triangles
+from pose_server.pairs.aliases import aliases_of
 from pose_server.pairs.explained import count_places, empty_parts, visible_in
-from pose_server.pairs.pair import Pair
+from pose_server.pairs.pair import OWN_NOISE, Pair
 from pose_server.pairs.views import PreparedView
 
 Floats = npt.NDArray[np.floating]
@@ -32,12 +33,12 @@ _ALIKE_PLACES = 3  # of each point, at most: a period has one on either side
 _AS_ALIKE = 1.5  # squared distance of descriptors, over that of the pose's own match,
 _EXACTLY_ALIKE = 0.04  # which is at least this: twins in a rendered or very sharp image
 _LEAST_LEFT_OVER = 6  # matches, to look for another pose among them
+_LEAST_TWINS = 4  # that agree on a pose, to look at it
 _ENOUGH_MATCHES = 120  # whose twins are looked for
 _LEAST_ALIKE = 8  # points with a twin elsewhere: fewer are chance
 _RADIUS = 0.012  # share of the depth: an alias is known as well as a pose by triangles
 _LEAST_PLACES, _WORTH = 12, 0.25  # that a rival finds again; over those of the winner
-EXACT_SIGMAS = 2.5  # across the epipolar line: a wider one is found by chance around any place
-_NOISE = NoiseScale(1.0, 1.5)
+_MOST_THROUGH = 0.25  # of a cloud: nobody sees through walls
 _COMMON = 12  # places that one pose finds and the other expects: fewer tell nothing
 _MOST_RIVALS = 3
 
@@ -52,12 +53,15 @@ class Rival:
         own: places in parts of a view where it finds much of what should be seen, and the winner
             nothing.
         lost: places where it is the other way round.
+        by_itself: it is offered by how a view repeats, and need not find anything again by itself:
+            of who sees a door from the side the next one may be too oblique to be matched.
     """
 
     T_i_j: Floats
     places: int
     own: int
     lost: int
+    by_itself: bool = False
 
     @property
     def lead(self) -> float:
@@ -73,15 +77,16 @@ def rivals_of(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
         T: T_i_j.
         exact: (M, 2) matches that agree with it to the pixel.
     """
-    poses: list[Floats] = []
-    other = left_over(pair, np.isin(pair.ratio[:, 1], exact[:, 1]), _NOISE)
+    shifted = _shifted(pair, T, exact)
+    poses = [rival.T_i_j for rival in shifted]
+    other = left_over(pair, np.isin(pair.ratio[:, 1], exact[:, 1]), OWN_NOISE)
     if other is not None and pair.gravely_apart(T, other):
         poses.append(other)
     some = exact[:: 1 + len(exact) // _ENOUGH_MATCHES]
     elsewhere = _elsewhere(pair, some)[:MOST_MATCHES]
     if len(elsewhere) >= _LEAST_ALIKE:
         found = poses_by_triangles(pair.i.observed, pair.j.observed, elsewhere, pair.depth_m)
-        poses += [pose for pose, agrees in found if len(agrees) >= _LEAST_LEFT_OVER]
+        poses += [pose for pose, agrees in found if len(agrees) >= _LEAST_TWINS]
     if not poses:
         return []
     winner = _Claim.of(pair, T)
@@ -91,7 +96,38 @@ def rivals_of(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
         rival = _rival(pair, winner, pose, worth)
         if rival is not None and not any(pair.same_pose(rival.T_i_j, r.T_i_j) for r in rivals):
             rivals.append(rival)
-    return sorted(rivals, key=lambda one: -one.places)[:_MOST_RIVALS]
+    rivals = sorted(rivals, key=lambda one: -one.places)[:_MOST_RIVALS]
+    return _joined(pair, rivals, shifted)
+
+
+def _joined(pair: Pair, rivals: list[Rival], shifted: list[Rival]) -> list[Rival]:
+    """All rivals, each once: who beats it in one way has beaten it."""
+    joined, others = [], shifted
+    for rival in rivals:
+        same = [one for one in others if pair.same_pose(rival.T_i_j, one.T_i_j)]
+        others = [one for one in others if one not in same]
+        best = max((rival, *same), key=lambda one: one.lead)
+        joined.append(replace(rival, own=best.own, lost=best.lost))
+    return joined + others
+
+
+def _shifted(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
+    """The pose shifted by the motions that map either view onto itself, as far as what it rests on
+    repeats.
+    """
+    rivals: list[Rival] = []
+    for column, view in enumerate((pair.i, pair.j)):
+        points = np.unique(exact[:, column])
+        for alias in aliases_of(view):
+            if not alias.explains(points):
+                continue
+            lost = alias.unexplained(view, points)
+            places = int(alias.repeated[points].sum())
+            for A in (alias.T, inverse(alias.T)):
+                pose = A @ T if column == 0 else T @ A
+                if pair.agreement(pose).through < _MOST_THROUGH:
+                    rivals.append(Rival(pose, places, 0, lost, by_itself=True))
+    return rivals
 
 
 def left_over(pair: Pair, agreeing: Bools, noise: NoiseScale) -> Floats | None:
@@ -153,12 +189,12 @@ def _rival(pair: Pair, winner: "_Claim", pose: Floats, worth: float) -> Rival | 
     if len(around) < worth:
         return None
     try:
-        pose = pair.refined(pose, around, _NOISE, 6).T_i_j
+        pose = pair.refined(pose, around, OWN_NOISE, 6).T_i_j
     except DegenerateGeometryError:
         return None
     if not pair.gravely_apart(pose, winner.T_i_j):
         return None
-    agreeing = exact_matches(pair, pose, around)
+    agreeing = pair.exact(pose, around)
     if len(agreeing) < worth:
         return None
     claim = _Claim.of(pair, pose)
@@ -174,9 +210,11 @@ def _holes(of: "_Claim", beside: "_Claim") -> int:
     A pose accounts for a place that it finds again too, and for one that it puts out of sight if
     something like it is elsewhere in the other view: repetition explains that it was found. A
     right pose seen at a wide angle finds less than an alias seen at a narrow one, but everywhere;
-    an alias accounts for nothing of what stands about only once.
+    an alias accounts for nothing of what stands about only once. Such a thing was matched, so that
+    it is missing in both views. What is missing in one alone is a part that the pose sees there at
+    a grazing angle: by that even aliases led the right pose by six sigmas.
     """
-    return max(_holes_in(of, beside, column) for column in (0, 1))
+    return min(_holes_in(of, beside, column) for column in (0, 1))
 
 
 def _holes_in(of: "_Claim", beside: "_Claim", column: int) -> int:
@@ -185,7 +223,11 @@ def _holes_in(of: "_Claim", beside: "_Claim", column: int) -> int:
     if known.sum() < _COMMON:
         return 0
     unseen = known & ~of.found[column] & ~of.expected[column]
+    partners_found = of.found[1 - column][beside.agreeing[:, 1 - column]]
     accounted = of.found[column] | beside.repeated(unseen, column)
+    accounted[beside.agreeing[partners_found, column]] |= unseen[
+        beside.agreeing[partners_found, column]
+    ]
     return empty_parts(view, view.uv[known], accounted[known])
 
 
@@ -194,7 +236,7 @@ class _Claim:
     """What a pose says of both views' points, and what comes true.
 
     Attributes:
-        expected, found: of i's points and of j's, which should be seen in the other view, and which
+        expected, found: of i's points and of j's, which should be found in the other view, and which
             are found again to the pixel.
         agreeing: (M, 2) the matches that say so.
         places: distinct places found.
@@ -210,11 +252,11 @@ class _Claim:
     @classmethod
     def of(cls, pair: Pair, T: Floats) -> "_Claim":
         expected = (
-            visible_in(pair.i, pair.j, inverse(T), pair.sigma).mask,
-            visible_in(pair.j, pair.i, T, pair.sigma).mask,
+            visible_in(pair.i, pair.j, inverse(T), pair.sigma).easily,
+            visible_in(pair.j, pair.i, T, pair.sigma).easily,
         )
         matches = union(pair.guided(T, 0.006), pair.ratio)
-        agreeing = exact_matches(pair, T, matches)
+        agreeing = pair.exact(T, matches)
         found = _masks(pair, agreeing)
         views = pair.i.observed, pair.j.observed
         places = min(count_places(v.uv[mask]) for v, mask in zip(views, found, strict=True))
@@ -240,17 +282,3 @@ def _masks(pair: Pair, matches: Indices) -> tuple[Bools, Bools]:
     for column in (0, 1):
         masks[column][matches[:, column]] = True
     return masks
-
-
-def exact_matches(pair: Pair, T: Floats, matches: Indices) -> Indices:
-    """The matches (M, 2) that agree with a pose at the cameras' own noise, to the pixel across the
-    epipolar lines.
-    """
-    if len(matches) < 3:
-        return NO_MATCHES
-    try:
-        scored = pair.scored(T, matches, _NOISE)
-    except DegenerateGeometryError:
-        return NO_MATCHES
-    sigma_px = np.hypot(pair.i.observed.pixel_sigma_px, pair.j.observed.pixel_sigma_px)
-    return matches[scored.inliers & (np.abs(scored.across_px) < EXACT_SIGMAS * sigma_px)]

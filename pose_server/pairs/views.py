@@ -4,6 +4,7 @@ needed.
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -82,6 +83,8 @@ class PreparedView:
     noise: PointNoise
     median_depth_m: float
     up: Floats | None = None
+    memo: dict[str, Any] = field(init=False, default_factory=dict)
+    """What was found out about the view alone, by who did."""
 
     def strongest(self, count: int) -> "PreparedView":
         """The same view with its strongest salient points only: enough where two views are nearly
