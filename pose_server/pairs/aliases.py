@@ -27,12 +27,12 @@ _ALIKE_PLACES, _ALIKE = 3, 0.9  # of each point, at most; cosine of two descript
 _ELSEWHERE_PX = 24.0  # nearer points are the same corner, seen twice
 _LEAST_AGREEING = 4  # twins, to look at a motion
 _ROUGH_RADIUS, _RADIUS = 0.012, 0.006  # of the search around predicted places, share of the depth
-# What a motion must find again, and how surfaces must agree at it. In corridors and facades of
-# equal doors and windows the share is .12 to .48, .8 of the surfaces agree and more, and nothing is
-# seen through; of the best motions of churches, a temple and a house that do not repeat hardly any
-# finds .07, and none of these fits the surfaces.
-_LEAST_PLACES, _LEAST_SHARE = 30, 0.08
-_LEAST_AGREE, _MOST_THROUGH = 0.9, 0.03
+# What a motion must find again, and how surfaces must agree at it. In corridors, colonnades and
+# facades of equal parts the share is .11 to .48, .6 of the surfaces agree and more, and at most .09
+# are seen through; the best motions of churches, a portal and a temple find .07 at most, and those
+# of a house with equal windows fit the surfaces but once in twenty views.
+_LEAST_PLACES, _LEAST_SHARE = 12, 0.1
+_LEAST_AGREE, _MOST_THROUGH = 0.6, 0.1
 _MOST = 3
 _MEMO = "aliases"
 _REPEATED_SHARE = 0.25  # of the points that a pose rests on: it may be shifted by the motion
@@ -66,7 +66,8 @@ class Alias:
         they stand about only once.
         """
         accounted = self.repeated[points] | ~self.expected[points]
-        return empty_parts(view.observed, view.observed.uv[points], accounted)
+        rate = float(self.repeated[self.expected].mean()) if self.expected.any() else 0.0
+        return empty_parts(view.observed, view.observed.uv[points], accounted, rate)
 
 
 def aliases_of(view: PreparedView) -> tuple[Alias, ...]:

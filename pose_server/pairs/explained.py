@@ -130,15 +130,16 @@ def holes(view: Observed, visible: Bools, found: Indices) -> float:
     return empty_parts(view, view.uv[visible], again[visible]) / int(visible.sum())
 
 
-def empty_parts(view: Observed, uv: Floats, again: Bools) -> int:
+def empty_parts(view: Observed, uv: Floats, again: Bools, rate: float | None = None) -> int:
     """How many pixels (N, 2) lie in parts of an image in which none of them is found `again` (N,),
-    though by the share of all some should be.
+    though by the share of all some should be, or by another one that is known.
     """
+    rate = float(again.mean()) if rate is None else rate
     cells = np.floor(uv / (view.size[0] / _PARTS)).astype(np.int64)
     part = cells[:, 1] * _PARTS + cells[:, 0]
     places = np.bincount(part)
     found = np.bincount(part, weights=again)
-    return int(places[(found == 0) & (again.mean() * places >= _NO_CHANCE)].sum())
+    return int(places[(found == 0) & (rate * places >= _NO_CHANCE)].sum())
 
 
 def count_places(uv: Floats) -> int:

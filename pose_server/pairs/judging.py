@@ -14,15 +14,20 @@ from pose_server.geometry.motion import Mask
 from pose_server.geometry.refine import NoiseScale, Refinement
 from pose_server.geometry.se3 import inverse, position_covariance, rotation_angle, transform
 from pose_server.geometry.structure import Structure
-from pose_server.pairs.aliases import aliases_of
 from pose_server.pairs.evidence import NO_RIVAL, Evidence
 from pose_server.pairs.explained import count_places, explained
 from pose_server.pairs.hearing import Hearing
 from pose_server.pairs.pair import EXACT_SIGMAS, Pair
-from pose_server.pairs.rivals import left_over, rivals_of
-from pose_server.pairs.trust import RIVAL_P_GRAVE, p_grave, stands, with_rivals
+from pose_server.pairs.rivals import left_over, rests_on_unique_things, rivals_of
+from pose_server.pairs.trust import (
+    ELSEWHERE_P_GRAVE,
+    RIVAL_P_GRAVE,
+    p_grave,
+    stands,
+    with_rivals,
+)
 from pose_server.pairs.trust_model import MODEL
-from pose_server.pairs.verdict import Verdict, judge
+from pose_server.pairs.verdict import ELSEWHERE, Verdict, judge
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -48,8 +53,7 @@ class PairResult:
     that the images support as well. `mirrored`: the views fit only if one of them is mirrored.
     `structure` is what of the world its matches rest on, in the frame of view i; `hearing` what
     became of the clicks it was made with. `twofold`: it would be verified, but another pose looks
-    right as well; `singled_out`: others looked right, but saw less of what is there. `repeats`: one
-    of the views shows the same more than once.
+    right as well; `singled_out`: others looked right, but saw less of what is there.
     """
 
     T_i_j: Floats | None
@@ -75,7 +79,6 @@ class PairResult:
     mirrored: bool = False
     twofold: bool = False
     singled_out: bool = False
-    repeats: bool = False
     structure: Structure | None = None
     hearing: Hearing | None = None
 
@@ -123,24 +126,28 @@ def contested(pair: Pair, result: PairResult) -> PairResult:
     own = pair.i.name.robot == pair.j.name.robot
     if own or e is None or T is None or result.verdict not in ("verified", "plausible"):
         return result
-    matches = union(pair.guided(T, _JUDGED_RADIUS), pair.ratio)
+    exact = pair.exact(T, union(pair.guided(T, _JUDGED_RADIUS), pair.ratio))
     rivals = [
         rival
-        for rival in rivals_of(pair, T, pair.exact(T, matches))
+        for rival in rivals_of(pair, T, exact)
         if rival.by_itself or _own_chance(pair, rival.T_i_j) < RIVAL_P_GRAVE
     ]
-    result = replace(result, repeats=bool(aliases_of(pair.i) or aliases_of(pair.j)))
-    if not rivals:
+    unique = rests_on_unique_things(pair, exact)
+    if not rivals and unique is None:
         return result
-    e = replace(e, lead=min(rival.lead for rival in rivals))
+    e = replace(e, lead=min((rival.lead for rival in rivals), default=NO_RIVAL))
+    chance = with_rivals(result.p_grave, [rival.lead for rival in rivals])
     verdict, reasons = judge(e, result.p_grave)
+    if verdict != "ambiguous" and unique is False:
+        verdict, reasons = "plausible", (ELSEWHERE,)
+        chance = max(chance, ELSEWHERE_P_GRAVE)
     return replace(
         result,
         evidence=e,
         verdict=verdict,
         reasons=reasons,
-        p_grave=with_rivals(result.p_grave, [rival.lead for rival in rivals]),
-        twofold=result.verdict == "verified" and verdict == "ambiguous",
+        p_grave=chance,
+        twofold=result.verdict == "verified" and verdict != "verified",
         singled_out=verdict == "verified",
         rivals=tuple(rival.T_i_j for rival in rivals if stands(rival.lead)),
     )

@@ -41,6 +41,9 @@ _LEAST_PLACES, _WORTH = 12, 0.25  # that a rival finds again; over those of the 
 _MOST_THROUGH = 0.25  # of a cloud: nobody sees through walls
 _COMMON = 12  # places that one pose finds and the other expects: fewer tell nothing
 _MOST_RIVALS = 3
+# Wrong poses in corridors and facades without unique things had 28 such points at most, right ones
+# where there are many 24 to 185.
+_UNIQUE_POINTS = 36
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +69,7 @@ class Rival:
     @property
     def lead(self) -> float:
         """By how many sigmas the winner finds more; negative where it finds less (a sign test)."""
-        return (self.lost - self.own) / float(np.sqrt(max(self.lost + self.own, 1)))
+        return _lead(self.lost, self.own)
 
 
 def rivals_of(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
@@ -100,6 +103,31 @@ def rivals_of(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
     return _joined(pair, rivals, shifted)
 
 
+def rests_on_unique_things(pair: Pair, exact: Indices) -> bool | None:
+    """Whether many of the points (M, 2) that a pose rests on are there only once, though much of
+    what a view shows repeats; None where neither view shows anything more than once.
+    """
+    lost = _unique_points(pair, exact)
+    return None if lost is None else lost >= _UNIQUE_POINTS
+
+
+def _unique_points(pair: Pair, exact: Indices) -> int | None:
+    """How many of the points (M, 2) do not repeat as a view does: by any of its motions, as the
+    same things are in both views.
+    """
+    lost = [
+        alias.unexplained(view, np.unique(exact[:, column]))
+        for column, view in enumerate((pair.i, pair.j))
+        for alias in aliases_of(view)
+    ]
+    return max(lost, default=None)
+
+
+def _lead(lost: int, own: int) -> float:
+    """Sigmas of a sign test."""
+    return (lost - own) / float(np.sqrt(max(lost + own, 1)))
+
+
 def _joined(pair: Pair, rivals: list[Rival], shifted: list[Rival]) -> list[Rival]:
     """All rivals, each once: who beats it in one way has beaten it."""
     joined, others = [], shifted
@@ -116,12 +144,12 @@ def _shifted(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
     repeats.
     """
     rivals: list[Rival] = []
+    lost = _unique_points(pair, exact) or 0
     for column, view in enumerate((pair.i, pair.j)):
         points = np.unique(exact[:, column])
         for alias in aliases_of(view):
             if not alias.explains(points):
                 continue
-            lost = alias.unexplained(view, points)
             places = int(alias.repeated[points].sum())
             for A in (alias.T, inverse(alias.T)):
                 pose = A @ T if column == 0 else T @ A
@@ -236,8 +264,8 @@ class _Claim:
     """What a pose says of both views' points, and what comes true.
 
     Attributes:
-        expected, found: of i's points and of j's, which should be found in the other view, and which
-            are found again to the pixel.
+        expected, found: of i's points and of j's, which should be found in the other view, and
+            which are, to the pixel.
         agreeing: (M, 2) the matches that say so.
         places: distinct places found.
     """

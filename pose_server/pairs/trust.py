@@ -26,6 +26,8 @@ VERIFIED_P_GRAVE, REJECTED_P_GRAVE = 0.03, 0.9
 _CLEAR_LEAD = 1.0
 # A right pose is rarely likelier than this to be wrong by its own evidence: what is, is no rival.
 RIVAL_P_GRAVE = 0.2
+# What one of two alike things is taken for may be the other.
+ELSEWHERE_P_GRAVE = 0.5
 _LEAST, _MOST = 1e-4, 1 - 1e-4  # no evidence of one pair says more: so many pairs were fitted on
 
 

@@ -14,6 +14,9 @@ Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
 # matches moves it, and what surfaces have moved it, lie within 5 % of the median depth together;
 # three sigma of its rotation lie within 5 deg
 _LEAST_FRONT, _TOLD_SIDES = 0.4, 20  # of the surfaces, from their front; of so many that tell
+ELSEWHERE = (
+    "a view shows the same more than once, and nothing that is there only once tells which this is"
+)
 _ALIAS = "the place repeats itself: another pose finds as much again"
 
 
