@@ -23,6 +23,15 @@ def paired_up(names: Sequence[Name], see_the_same: Callable[[Name, Name], bool])
     return together
 
 
+def chained(names: Sequence[Name], see_the_same: Callable[[Name, Name], bool]) -> list[set[Name]]:
+    """Groups that a chain of common sights joins."""
+    groups: list[set[Name]] = []
+    for name in names:
+        met = [group for group in groups if any(see_the_same(name, one) for one in group)]
+        groups = [group for group in groups if group not in met] + [{name}.union(*met)]
+    return groups
+
+
 class Sights:
     """Tells of recorded views which see the same; what was asked once is remembered."""
 
@@ -42,10 +51,10 @@ class Sights:
             self._known[pair] = self._same(a, b)
         return self._known[pair]
 
-    def together(self, views: Iterable[TrueView]) -> set[int]:
-        """Indices of the views that see the same as another one of them."""
+    def groups(self, views: Iterable[TrueView]) -> list[set[int]]:
+        """Indices of the views, in groups that a chain of common sights joins."""
         of = {view.index: view for view in views}
-        return paired_up(list(of), lambda a, b: self.same(of[a], of[b]))
+        return chained(list(of), lambda a, b: self.same(of[a], of[b]))
 
     def _same(self, a: TrueView, b: TrueView) -> bool:
         if (shared_tracks(self._recording, a, b) or 0) >= TOGETHER_TRACKS:

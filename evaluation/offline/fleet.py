@@ -58,6 +58,7 @@ class Placed:
         seed: of its fleet.
         view: its index.
         together: its view and another robot's show the same.
+        in_reach: a chain of common sights joins it to the anchor, and it is not alone.
         position_error_m, rotation_error_deg: the anchor as gauge; none where nothing joins them.
         grave: located, and gravely off.
         why_not: what the server says to why it is not located.
@@ -67,6 +68,7 @@ class Placed:
     view: int
     anchor: bool
     together: bool
+    in_reach: bool
     located: bool
     position_error_m: float | None
     rotation_error_deg: float | None
@@ -118,8 +120,11 @@ def play(task: Task) -> Fleet:
     """Runs a fleet until nothing is left to align, and scores it."""
     server, finished = put_together(task)
     views = task.views_of(server)
-    together = _sights(task.recording.directory, task.recording.clouds).together(views.values())
+    groups = _sights(task.recording.directory, task.recording.clouds).groups(views.values())
+    group_of = {index: group for group in groups for index in group}
     rows = scored(server, views, task.limits)
+    anchor = [server.views[row.robot] for row in rows if row.is_anchor]
+    reached = max(groups, key=len) if not anchor else group_of[anchor[0]]
     why_not = {row.robot: server.why_not(row.robot) for row in rows}
     verdicts = {name: pose.verdict for name, pose in server.poses().items()}
     robots = tuple(
@@ -127,7 +132,8 @@ def play(task: Task) -> Fleet:
             seed=task.seed,
             view=server.views[row.robot],
             anchor=row.is_anchor,
-            together=server.views[row.robot] in together,
+            together=len(group_of[server.views[row.robot]]) > 1,
+            in_reach=server.views[row.robot] in reached and len(reached) > 1,
             located=row.located,
             position_error_m=row.position_error_m,
             rotation_error_deg=row.rotation_error_deg,

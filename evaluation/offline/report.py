@@ -27,6 +27,7 @@ def summarize(fleets: Sequence[Fleet]) -> dict[str, Any]:
         for robot in robots
         if robot.located and not robot.anchor and robot.position_error_m is not None
     ]
+    reached = [robot for robot in robots if robot.in_reach]
     explained = [one for fleet in fleets for one in fleet.explained]
     return {
         "fleets": len(fleets),
@@ -35,6 +36,8 @@ def summarize(fleets: Sequence[Fleet]) -> dict[str, Any]:
         "located": share(robot.located for robot in robots),
         "robots_seen_together": len(together),
         "located_right": share(robot.located and not robot.grave for robot in together),
+        "robots_in_reach": len(reached),
+        "located_right_in_reach": share(robot.located and not robot.grave for robot in reached),
         "explained": float(np.median(explained)) if explained else None,
         "position_error_mean_m": float(np.mean(errors)) if errors else None,
         "position_error_max_m": max(errors, default=None),
@@ -58,7 +61,8 @@ def line_of(name: str, line: Mapping[str, Any]) -> str:
     return (
         f"{name}: {line['grave_located']} located and gravely off; "
         f"of {line['robots_seen_together']} seen together {_percent(line['located_right'])} "
-        f"located right; {_percent(line['located'])} of {line['robots']} robots in "
+        f"located right, {_percent(line['located_right_in_reach'])} of {line['robots_in_reach']} "
+        f"joined to the anchor by sight; {_percent(line['located'])} of {line['robots']} robots in "
         f"{line['fleets']} fleets located, {line['unfinished']} fleets unfinished"
     )
 

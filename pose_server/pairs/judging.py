@@ -139,7 +139,7 @@ def contested(pair: Pair, result: PairResult) -> PairResult:
     chance = with_rivals(result.p_grave, [rival.lead for rival in rivals])
     verdict, reasons = judge(e, result.p_grave)
     if verdict != "ambiguous" and unique is False:
-        verdict, reasons = "plausible", (ELSEWHERE,)
+        verdict, reasons = "ambiguous", (ELSEWHERE,)
         chance = max(chance, ELSEWHERE_P_GRAVE)
     return replace(
         result,

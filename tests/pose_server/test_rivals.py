@@ -5,11 +5,12 @@ import pytest
 
 from pose_server.geometry.patches import sides_seen
 from pose_server.geometry.se3 import exp_so3, inverse, make_pose
+from pose_server.pairs.aliases import aliases_of
 from pose_server.pairs.align import align_pair
 from pose_server.pairs.explained import explained
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.pair import RATIO, Pair
-from pose_server.pairs.rivals import exact_matches
+from pose_server.pairs.rivals import rests_on_unique_things, rivals_of
 from pose_server.pairs.views import PreparedView, prepare_view
 from tests.pose_server.scene import K, descriptors, turned, view
 
@@ -57,6 +58,40 @@ def test_what_is_there_only_once_breaks_the_tie(unique):
     assert found.verdict == "verified"
 
 
+def test_a_view_of_equal_panels_is_mapped_onto_itself_by_their_period():
+    i, _ = panelled(np.random.default_rng(5), 0)
+    found = aliases_of(i)
+    assert found
+    for alias in found:
+        steps = alias.T[:3, 3] / PERIOD_M
+        assert np.allclose(steps, (np.rint(steps[0]), 0.0, 0.0), atol=0.1) and abs(steps[0]) > 0.9
+        assert alias.repeated.mean() > 0.4
+
+
+def test_a_place_without_repetitions_has_no_aliases():
+    rng = np.random.default_rng(8)
+    points = np.column_stack((rng.uniform(-8, 8, 400), rng.uniform(-3, 3, 400), np.full(400, 10.0)))
+    assert not aliases_of(prepare_view(view(rng, "r1", points, descriptors(rng, 400), np.eye(4))))
+
+
+def test_what_stands_there_only_once_is_not_explained_by_the_period():
+    i, _ = panelled(np.random.default_rng(5), 120)
+    poster = np.flatnonzero((np.abs(i.observed.points[:, :2]) < POSTER_M).all(axis=1))
+    panels = np.flatnonzero((np.abs(i.observed.points[:, :2]) > 2 * POSTER_M).any(axis=1))
+    (alias, *_) = aliases_of(i)
+    assert alias.unexplained(i, poster) > 0.7 * len(poster)
+    assert alias.unexplained(i, panels) < 0.1 * len(panels) and not alias.explains(poster)
+
+
+def test_where_a_view_repeats_one_step_further_is_a_rival_whatever_is_found_there():
+    i, j = panelled(np.random.default_rng(5), 0)
+    pair = Pair(i, j, RATIO)
+    exact = pair.exact(STEP, pair.guided(STEP, 0.008))
+    steps = [rival.T_i_j[:3, 3] - STEP[:3, 3] for rival in rivals_of(pair, STEP, exact)]
+    assert any(abs(abs(step[0]) - PERIOD_M) < 0.2 for step in steps)
+    assert rests_on_unique_things(pair, exact) is False
+
+
 def test_a_right_pose_explains_more_than_one_a_panel_further():
     i, j = panelled(np.random.default_rng(6), 40)
     pair = Pair(i, j, RATIO)
@@ -64,8 +99,9 @@ def test_a_right_pose_explains_more_than_one_a_panel_further():
     holes = []
     for T in (STEP, beside):
         matches = np.unique(np.concatenate((pair.guided(T, 0.008), pair.ratio)), axis=0)
-        agreeing = exact_matches(pair, T, matches)
-        holes.append(explained(pair, T, agreeing, np.zeros(len(pair.ratio), bool)).holes)
+        holes.append(
+            explained(pair, T, pair.exact(T, matches), np.zeros(len(pair.ratio), bool)).holes
+        )
     assert holes[0] < 0.05 < holes[1]
 
 
