@@ -12,12 +12,12 @@ from evaluation.offline.fleet import Fleet, Placed, draw_views
 from evaluation.offline.report import summarize, worst_first
 from evaluation.options import only_one
 from evaluation.parts import checked_views
-from evaluation.together import Sights, paired_up
+from evaluation.together import Sights, chained, paired_up
 from protocol.errors import DataFolderError, FleetPoseError
 from tests.data import shared_data
 from tests.evaluation.makers import write_posed_views, write_rgbd
 
-RIGHT = Placed(0, 0, False, True, True, 0.01, 0.1, "verified", False, "")
+RIGHT = Placed(0, 0, False, True, True, True, 0.01, 0.1, "verified", False, "")
 GRAVE = replace(RIGHT, position_error_m=33.0, grave=True)
 LOST = replace(RIGHT, located=False, position_error_m=None, why_not="nothing joins it")
 
@@ -32,6 +32,7 @@ def test_a_located_robot_that_is_gravely_off_is_never_a_located_right_one():
     assert summary["robots"] == 5 and summary["robots_seen_together"] == 4
     assert summary["located"] == 3 / 5
     assert summary["located_right"] == 2 / 4
+    assert summary["robots_in_reach"] == 5 and summary["located_right_in_reach"] == 2 / 5
     assert summary["position_error_max_m"] == 33.0
 
 
@@ -73,10 +74,16 @@ def test_together_are_those_who_see_the_same_as_anyone():
     assert paired_up(range(5), lambda a, b: (a, b) in links) == {0, 1, 2, 3}
 
 
+def test_a_chain_of_common_sights_joins():
+    links = {(0, 3), (3, 4), (1, 2)}
+    groups = chained(range(6), lambda a, b: (min(a, b), max(a, b)) in links)
+    assert sorted(map(sorted, groups)) == [[0, 3, 4], [1, 2], [5]]
+
+
 def test_views_see_the_same_by_tracks_or_by_depth(tmp_path):
     write_posed_views(tmp_path / "views", count=4, points=80)  # they see 80, 60, 40, 20 points
     posed = open_recording(tmp_path / "views", "sparse_noisy")
-    assert Sights(posed).together(posed.usable) == {0, 1, 2}
+    assert sorted(map(sorted, Sights(posed).groups(posed.usable))) == [[0, 1, 2], [3]]
     write_rgbd(tmp_path / "rgbd", count=2)
     walk = open_recording(tmp_path / "rgbd")
     here, there = walk.usable
