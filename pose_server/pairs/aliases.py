@@ -33,7 +33,7 @@ _ROUGH_RADIUS, _RADIUS = 0.012, 0.006  # of the search around predicted places, 
 # of a house with equal windows fit the surfaces but once in twenty views.
 _LEAST_PLACES, _LEAST_SHARE = 12, 0.1
 _LEAST_AGREE, _MOST_THROUGH = 0.6, 0.1
-_MOST = 3
+_MOST, _NEARLY = 3, 0.5  # places of the best one: what finds fewer is a poor guess at it
 _MEMO = "aliases"
 _REPEATED_SHARE = 0.25  # of the points that a pose rests on: it may be shifted by the motion
 
@@ -61,13 +61,14 @@ class Alias:
         again = int(self.repeated[points].sum())
         return again >= max(12, _REPEATED_SHARE * len(points))
 
-    def unexplained(self, view: PreparedView, points: Indices) -> int:
+    def unexplained(self, view: PreparedView, points: Indices) -> tuple[int, int]:
         """How many of these points lie in parts of the view where none repeats though some should:
-        they stand about only once.
+        they stand about only once. And how many should repeat.
         """
         accounted = self.repeated[points] | ~self.expected[points]
         rate = float(self.repeated[self.expected].mean()) if self.expected.any() else 0.0
-        return empty_parts(view.observed, view.observed.uv[points], accounted, rate)
+        lost = empty_parts(view.observed, view.observed.uv[points], accounted, rate)
+        return lost, int(self.expected[points].sum())
 
 
 def aliases_of(view: PreparedView) -> tuple[Alias, ...]:
@@ -90,7 +91,8 @@ def _found_in(view: PreparedView) -> tuple[Alias, ...]:
         alias = _alias(pair, T)
         if alias is not None and all(pair.gravely_apart(alias.T, one.T) for one in found):
             found.append(alias)
-    return tuple(sorted(found, key=lambda one: -one.places)[:_MOST])
+    found.sort(key=lambda one: -one.places)
+    return tuple(one for one in found[:_MOST] if one.places >= _NEARLY * found[0].places)
 
 
 def _alias(pair: Pair, T: Floats) -> Alias | None:

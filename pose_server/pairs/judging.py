@@ -18,7 +18,7 @@ from pose_server.pairs.evidence import NO_RIVAL, Evidence
 from pose_server.pairs.explained import count_places, explained
 from pose_server.pairs.hearing import Hearing
 from pose_server.pairs.pair import EXACT_SIGMAS, Pair
-from pose_server.pairs.rivals import left_over, rests_on_unique_things, rivals_of
+from pose_server.pairs.rivals import left_over, rivals_of, unique_points
 from pose_server.pairs.trust import (
     ELSEWHERE_P_GRAVE,
     RIVAL_P_GRAVE,
@@ -132,13 +132,13 @@ def contested(pair: Pair, result: PairResult) -> PairResult:
         for rival in rivals_of(pair, T, exact)
         if rival.by_itself or _own_chance(pair, rival.T_i_j) < RIVAL_P_GRAVE
     ]
-    unique = rests_on_unique_things(pair, exact)
+    unique = unique_points(pair, exact)
     if not rivals and unique is None:
         return result
     e = replace(e, lead=min((rival.lead for rival in rivals), default=NO_RIVAL))
     chance = with_rivals(result.p_grave, [rival.lead for rival in rivals])
     verdict, reasons = judge(e, result.p_grave)
-    if verdict != "ambiguous" and unique is False:
+    if verdict != "ambiguous" and unique == 0:
         verdict, reasons = "ambiguous", (ELSEWHERE,)
         chance = max(chance, ELSEWHERE_P_GRAVE)
     return replace(

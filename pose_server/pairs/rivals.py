@@ -41,9 +41,10 @@ _LEAST_PLACES, _WORTH = 12, 0.25  # that a rival finds again; over those of the 
 _MOST_THROUGH = 0.25  # of a cloud: nobody sees through walls
 _COMMON = 12  # places that one pose finds and the other expects: fewer tell nothing
 _MOST_RIVALS = 3
-# Wrong poses in corridors and facades without unique things had 28 such points at most, right ones
-# where there are many 24 to 185.
-_UNIQUE_POINTS = 36
+# So many of the points that should repeat do not, and such a share. In corridors and facades
+# without unique things at most .07 of those of wrong poses, where there are many .13 to .5 of those
+# of right ones.
+_UNIQUE_POINTS, _UNIQUE_SHARE = 24, 0.12
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,24 +104,18 @@ def rivals_of(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
     return _joined(pair, rivals, shifted)
 
 
-def rests_on_unique_things(pair: Pair, exact: Indices) -> bool | None:
-    """Whether many of the points (M, 2) that a pose rests on are there only once, though much of
-    what a view shows repeats; None where neither view shows anything more than once.
+def unique_points(pair: Pair, exact: Indices) -> int | None:
+    """How many of the points (M, 2) that a pose rests on are there only once, though much of what a
+    view shows repeats; by the best motion of either view, as the same things are in both. 0 where
+    that is no more than chance makes of it, None where neither view shows anything more than once.
     """
-    lost = _unique_points(pair, exact)
-    return None if lost is None else lost >= _UNIQUE_POINTS
-
-
-def _unique_points(pair: Pair, exact: Indices) -> int | None:
-    """How many of the points (M, 2) do not repeat as a view does: by any of its motions, as the
-    same things are in both views.
-    """
-    lost = [
+    found = [
         alias.unexplained(view, np.unique(exact[:, column]))
         for column, view in enumerate((pair.i, pair.j))
-        for alias in aliases_of(view)
+        for alias in aliases_of(view)[:1]
     ]
-    return max(lost, default=None)
+    many = [lost for lost, of in found if lost >= max(_UNIQUE_POINTS, _UNIQUE_SHARE * of)]
+    return max(many, default=0) if found else None
 
 
 def _lead(lost: int, own: int) -> float:
@@ -144,7 +139,7 @@ def _shifted(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
     repeats.
     """
     rivals: list[Rival] = []
-    lost = _unique_points(pair, exact) or 0
+    lost = unique_points(pair, exact) or 0
     for column, view in enumerate((pair.i, pair.j)):
         points = np.unique(exact[:, column])
         for alias in aliases_of(view):
