@@ -54,6 +54,11 @@ class Alias:
     repeated: Bools
     expected: Bools
 
+    @property
+    def rate(self) -> float:
+        """Share of the expected points that are found."""
+        return float(self.repeated[self.expected].mean()) if self.expected.any() else 0.0
+
     def explains(self, points: Indices) -> bool:
         """Whether enough of these points repeat, so that a pose which rests on them may be shifted
         by the motion.
@@ -66,8 +71,7 @@ class Alias:
         they stand about only once. And how many should repeat.
         """
         accounted = self.repeated[points] | ~self.expected[points]
-        rate = float(self.repeated[self.expected].mean()) if self.expected.any() else 0.0
-        lost = empty_parts(view.observed, view.observed.uv[points], accounted, rate)
+        lost = empty_parts(view.observed, view.observed.uv[points], accounted, self.rate)
         return lost, int(self.expected[points].sum())
 
 

@@ -42,9 +42,9 @@ _MOST_THROUGH = 0.25  # of a cloud: nobody sees through walls
 _COMMON = 12  # places that one pose finds and the other expects: fewer tell nothing
 _MOST_RIVALS = 3
 # So many of the points that should repeat do not, and such a share. In corridors and facades
-# without unique things at most .07 of those of wrong poses, where there are many .13 to .5 of those
-# of right ones.
-_UNIQUE_POINTS, _UNIQUE_SHARE = 24, 0.12
+# without unique things these are at most 14 and .02 for wrong poses, where there are many 27 and
+# .06 and more for right ones. A motion at which less is found hardly repeats the view.
+_UNIQUE_POINTS, _UNIQUE_SHARE, _TELLING_RATE = 24, 0.05, 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,17 +105,22 @@ def rivals_of(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
 
 
 def unique_points(pair: Pair, exact: Indices) -> int | None:
-    """How many of the points (M, 2) that a pose rests on are there only once, though much of what a
-    view shows repeats; by the best motion of either view, as the same things are in both. 0 where
-    that is no more than chance makes of it, None where neither view shows anything more than once.
+    """How many of the points (M, 2) that a pose rests on are there only once, though much of what
+    the views show repeats; 0 where that may be chance, None where neither view repeats.
+
+    The same things are in both views, so that both must say so: one alone says it also of what
+    repeats, but is seen at a grazing angle one step further.
     """
     found = [
         alias.unexplained(view, np.unique(exact[:, column]))
         for column, view in enumerate((pair.i, pair.j))
         for alias in aliases_of(view)[:1]
+        if alias.rate >= _TELLING_RATE
     ]
-    many = [lost for lost, of in found if lost >= max(_UNIQUE_POINTS, _UNIQUE_SHARE * of)]
-    return max(many, default=0) if found else None
+    if not found:
+        return None
+    lost, of = min(found)
+    return lost if lost >= max(_UNIQUE_POINTS, _UNIQUE_SHARE * of) else 0
 
 
 def _lead(lost: int, own: int) -> float:
