@@ -43,8 +43,10 @@ _COMMON = 12  # places that one pose finds and the other expects: fewer tell not
 _MOST_RIVALS = 3
 # So many of the points that should repeat do not, and such a share. In corridors and facades
 # without unique things these are at most 14 and .02 for wrong poses, where there are many 27 and
-# .06 and more for right ones. A motion at which less is found hardly repeats the view.
-_UNIQUE_POINTS, _UNIQUE_SHARE, _TELLING_RATE = 24, 0.05, 0.15
+# .06 and more for right ones; by one view alone, where the other does not repeat, .11, and .3
+# and more. A motion at which less is found than so hardly repeats the view.
+_UNIQUE_POINTS, _UNIQUE_SHARE, _UNIQUE_SHARE_BY_ONE = 24, 0.05, 0.2
+_TELLING_RATE = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +122,8 @@ def unique_points(pair: Pair, exact: Indices) -> int | None:
     if not found:
         return None
     lost, of = min(found)
-    return lost if lost >= max(_UNIQUE_POINTS, _UNIQUE_SHARE * of) else 0
+    least_share = _UNIQUE_SHARE if len(found) == 2 else _UNIQUE_SHARE_BY_ONE
+    return lost if lost >= max(_UNIQUE_POINTS, least_share * of) else 0
 
 
 def _lead(lost: int, own: int) -> float:
