@@ -18,7 +18,7 @@ from pose_server.pairs.evidence import NO_RIVAL, Evidence
 from pose_server.pairs.explained import count_places, explained
 from pose_server.pairs.hearing import Hearing
 from pose_server.pairs.pair import EXACT_SIGMAS, Pair
-from pose_server.pairs.rivals import left_over, rivals_of, unique_points
+from pose_server.pairs.rivals import left_over, one_step_on, rivals_of, unique_points
 from pose_server.pairs.trust import (
     ELSEWHERE_P_GRAVE,
     RIVAL_P_GRAVE,
@@ -138,8 +138,10 @@ def contested(pair: Pair, result: PairResult) -> PairResult:
     e = replace(e, lead=min((rival.lead for rival in rivals), default=NO_RIVAL))
     chance = with_rivals(result.p_grave, [rival.lead for rival in rivals])
     verdict, reasons = judge(e, result.p_grave)
+    others = [rival.T_i_j for rival in rivals if stands(rival.lead)]
     if verdict != "ambiguous" and unique == 0:
         verdict, reasons = "ambiguous", (ELSEWHERE,)
+        others = one_step_on(pair, T)
         chance = max(chance, ELSEWHERE_P_GRAVE)
     return replace(
         result,
@@ -149,7 +151,7 @@ def contested(pair: Pair, result: PairResult) -> PairResult:
         p_grave=chance,
         twofold=result.verdict == "verified" and verdict != "verified",
         singled_out=verdict == "verified",
-        rivals=tuple(rival.T_i_j for rival in rivals if stands(rival.lead)),
+        rivals=tuple(others),
     )
 
 

@@ -126,6 +126,18 @@ def unique_points(pair: Pair, exact: Indices) -> int | None:
     return lost if lost >= max(_UNIQUE_POINTS, least_share * of) else 0
 
 
+def one_step_on(pair: Pair, T: Floats) -> list[Floats]:
+    """The poses (4, 4) that a pose becomes if either view shows what is one step on or back."""
+    poses: list[Floats] = []
+    for column, view in enumerate((pair.i, pair.j)):
+        for alias in aliases_of(view)[:1]:
+            for A in (alias.T, inverse(alias.T)):
+                pose = A @ T if column == 0 else T @ A
+                if all(pair.gravely_apart(pose, other) for other in poses):
+                    poses.append(pose)
+    return poses[:_MOST_RIVALS]
+
+
 def _lead(lost: int, own: int) -> float:
     """Sigmas of a sign test."""
     return (lost - own) / float(np.sqrt(max(lost + own, 1)))
