@@ -26,7 +26,7 @@ from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.refining import Start
 from pose_server.pairs.tracking import Attached, accepted
-from pose_server.repeats import believed, note_refuted
+from pose_server.repeats import believed, note_refuted, note_repetition
 from pose_server.site import RobotPair, Site
 from pose_server.views import KeptView
 from pose_server.widening import note_open, wide_job
@@ -158,7 +158,7 @@ def solve(site: Site, now_s: float) -> None:
     }
     site.solution = solve_fleet(
         nodes,
-        list(believed(site)),
+        believed(site),
         click_factors(site),
         gauge=site.gauge,
         newest=first,
@@ -169,6 +169,7 @@ def solve(site: Site, now_s: float) -> None:
     site.dirty = False
     site.count("solves")
     note_refuted(site)
+    note_repetition(site)
     reconsider(site)
     choose_anchor(site)
     agenda.appraise(site, now_s)
@@ -311,6 +312,7 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
         site.robot(name).errors = None
     site.touched.update((i.robot, j.robot))
     record.last, record.last_views, record.refuted = done.outcome, (i, j), False
+    note_repetition(site)
     if done.result is None:
         site.say(f"alignment of {i} and {j} failed: {done.error}")
         return

@@ -6,13 +6,13 @@ then, a pose to which nothing offered a rival is no surer than the place lets it
 its rivals is: it saw what is there only once.
 """
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 from pose_server.fleet.types import Edge
 from pose_server.site import Site
 
 _LEAST_TWOFOLD = 2  # pairs of robots to which two poses look right, and
+_OTHERWISE = 0.1  # a share so much larger or smaller
 _LEAST_SHARE = 0.1  # of these and the verified ones: fewer are corners of a place that is unlike
 
 
@@ -33,15 +33,26 @@ def repetition(site: Site) -> float:
     return twofold / (twofold + verified)
 
 
-def believed(site: Site) -> Iterable[Edge]:
+def believed(site: Site) -> list[Edge]:
     """The graph's edges as far as the place lets them be believed."""
+    site.repetition = repetition(site)
+    return [_doubted(edge, site.repetition) for edge in site.edges.values()]
+
+
+def _doubted(edge: Edge, share: float) -> Edge:
+    sure = edge.verdict != "verified" or edge.singled_out or edge.kind != "pair" or edge.operator
+    if share == 0 or sure:
+        return edge
+    return replace(edge, verdict="plausible", p_grave=max(edge.p_grave, share))
+
+
+def note_repetition(site: Site) -> None:
+    """Has the fleet solved anew where its place is to be doubted otherwise than it was: also a pair
+    that joins nothing tells of the others.
+    """
     share = repetition(site)
-    for edge in site.edges.values():
-        doubtful = share > 0 and edge.verdict == "verified" and not edge.singled_out
-        if doubtful and edge.kind == "pair" and not edge.operator:
-            yield replace(edge, verdict="plausible", p_grave=max(edge.p_grave, share))
-        else:
-            yield edge
+    if (share > 0) != (site.repetition > 0) or abs(share - site.repetition) > _OTHERWISE:
+        site.dirty = True
 
 
 def note_refuted(site: Site) -> None:

@@ -152,6 +152,7 @@ class Site:
         agenda: which pairs wait to be aligned.
         kinds: of work of which each has its share.
         partners: of each robot, those of which a pair record is there.
+        repetition: share of pairs that told the last solve of a place that repeats itself.
         touched: robots of pairs that were aligned and not told of since.
         covariances: the solve in which that of a keyframe was made last.
         cells: of the error matrix as they were told last, and what they were made of.
@@ -187,6 +188,7 @@ class Site:
     kinds: Turns[str] = field(default_factory=Turns)
     depth_m: float = 1.0
     dirty: bool = False
+    repetition: float = 0.0
     partners: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     touched: set[str] = field(default_factory=set)
     cells: dict[RobotPair, tuple[object, PairCell]] = field(default_factory=dict)

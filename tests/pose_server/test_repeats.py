@@ -8,7 +8,7 @@ import numpy as np
 from pose_server.correspondences.book import Book
 from pose_server.fleet.types import Edge, EdgeJudgement
 from pose_server.pairs.judging import PairResult
-from pose_server.repeats import believed, note_refuted, repetition
+from pose_server.repeats import believed, note_refuted, note_repetition, repetition
 from pose_server.site import Site
 from protocol.messages import ViewName
 from tests.pose_server.test_telling import EPOCH, Forgetful
@@ -73,3 +73,14 @@ def test_pairs_that_the_solution_refuted_are_remembered_until_they_are_aligned_a
     for key in wrong:
         site.pair(key[0].robot, key[1].robot).refuted = False
     assert repetition(site) == 0.0
+
+
+def test_a_pair_that_joins_nothing_has_the_fleet_solved_anew_if_it_makes_the_place_doubtful():
+    site = place(*[VERIFIED] * 2)
+    believed(site)  # as a solve does
+    note_repetition(site)
+    assert not site.dirty
+    for k in (7, 8):
+        site.pair(f"a{k}", f"b{k}").last = TWOFOLD
+    note_repetition(site)
+    assert site.dirty and verdicts(site) == ["plausible"] * 2
