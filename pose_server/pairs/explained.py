@@ -22,6 +22,8 @@ Bools = npt.NDArray[np.bool_]
 
 _PARTS = 8  # across a view's width
 _NO_CHANCE = 3.0  # places expected to be found in a part: none is found by chance in one of twenty
+# What is found again falls off with the parallax p as exp(-(p / PARALLAX_RAD)^2), to this share.
+PARALLAX_RAD, LEAST_EXPECTED = np.radians(70.0), 0.2
 _EASY_PARALLAX_RAD, _EASY_SCALE = np.radians(40.0), np.log(1.6)
 _CELL_PX = 4.0  # copies of one spot in several tilted images are one place
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.refine import NoiseScale
 from pose_server.geometry.se3 import inverse
-from pose_server.pairs.explained import seen_from_both
+from pose_server.pairs.explained import LEAST_EXPECTED, PARALLAX_RAD, seen_from_both
 from pose_server.pairs.pair import Pair
 
 Floats = npt.NDArray[np.floating]
@@ -29,7 +29,6 @@ Says = Literal["for", "blank", "nothing", "against"]
 
 _RADIUS = 0.02  # of the search around predicted places, share of the depth: clicks are so good
 _NOISE = NoiseScale(1.0, 1.2)  # the same for all poses
-_PARALLAX_RAD, _LEAST_EXPECTED = np.radians(70.0), 0.2  # how what is found again falls off with it
 _FOR, _AGAINST = 0.09, 0.04  # share of what is expected
 _CHANCE, _FEW = 0.015, 8  # of the visible points, and so many more, are found by chance
 _TELLING = 80  # expected points: fewer may all be missed by a right pose
@@ -90,7 +89,7 @@ def hear(pair: Pair, T: Floats, sigma: float = 0.0) -> Heard:
         return Heard(T, "against", 0.0, f"only {seen.agree:.0%} of the surfaces would agree")
     visible, parallax_rad = _visible(pair, T)
     found = found_again(pair, T)
-    expected = visible * max(float(np.exp(-((parallax_rad / _PARALLAX_RAD) ** 2))), _LEAST_EXPECTED)
+    expected = visible * max(float(np.exp(-((parallax_rad / PARALLAX_RAD) ** 2))), LEAST_EXPECTED)
     share = min(found / max(expected, 1.0), 1.0) * max(0.0, 1.0 - 2.0 * seen.through)
     if share >= _FOR and found >= _FEW + _CHANCE * visible:
         return Heard(T, "for", share)
