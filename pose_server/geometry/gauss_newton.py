@@ -108,10 +108,10 @@ def _estimated(
 ) -> tuple[float, float]:
     """The noise levels that make the residuals of well-weighted matches as large as expected."""
     good = weights > _LEAST_WEIGHT
-    pixel = _CHI2_MEDIAN_1DOF * np.median(np.abs(out[:, 2][good])) / stated_px
+    pixel = _CHI2_MEDIAN_1DOF * float(np.median(np.abs(out[:, 2][good]))) / stated_px
     deep = good & (out[:, 4] > 0)
     if deep.sum() >= _LEAST_MATCHES:
-        depth *= _CHI2_MEDIAN_1DOF * np.median(out[:, 3][deep])
+        depth *= _CHI2_MEDIAN_1DOF * float(np.median(out[:, 3][deep]))
     return (
         min(max(pixel, _PIXEL_NOISE), most),
         min(max(depth, _DEPTH_NOISE[0]), _DEPTH_NOISE[1]),
