@@ -18,9 +18,9 @@ what was measured there (pixels, inverse depths, sigmas), its K, sigma of a dire
 and of a pixel there, the sign of the increment, and their rows among all matches.
 """
 
-SCALE_3DOF, SCALE_2DOF = 9.0, 7.0  # where a Geman-McClure weight has fallen to a quarter
-INLIER_3DOF, INLIER_2DOF = 14.2, 11.3  # chi-square, 99.7 %
-SETTLED_SIGMAS = 0.05  # a step of less than this share of the pose's own sigma ends the search
+_SCALE_3DOF, _SCALE_2DOF = 9.0, 7.0  # where a Geman-McClure weight has fallen to a quarter
+_INLIER_3DOF, _INLIER_2DOF = 14.2, 11.3  # chi-square, 99.7 %
+_SETTLED_SIGMAS = 0.05  # a step of less than this share of the pose's own sigma ends the search
 _CHI2_MEDIAN_1DOF = 1.4826  # sigma from the median of absolute values
 _LONGEST_TURN_RAD = 0.5  # of one step
 _LEAST_MATCHES = 8  # of which a noise is estimated
@@ -97,8 +97,8 @@ def weigh(
         if out[m, 1] > 0:  # behind
             continue
         deep = out[m, 4] > 0
-        weights[m] = 1.0 / (1.0 + out[m, 0] / (SCALE_3DOF if deep else SCALE_2DOF)) ** 2
-        inliers[m] = out[m, 0] < (INLIER_3DOF if deep else INLIER_2DOF)
+        weights[m] = 1.0 / (1.0 + out[m, 0] / (_SCALE_3DOF if deep else _SCALE_2DOF)) ** 2
+        inliers[m] = out[m, 0] < (_INLIER_3DOF if deep else _INLIER_2DOF)
     return out, jacobians, weights, inliers
 
 
@@ -149,6 +149,6 @@ def descend(
         T = _retract(T, increment * min(1.0, _LONGEST_TURN_RAD / max(norm, 1e-300)))
         if estimate_noise and step >= 1 and inliers.sum() >= _LEAST_MATCHES:
             pixel, depth = _estimated(pixel, depth, out, weights, stated_px, most_pixel_noise)
-        if step >= 2 and (increment * (H @ increment)).sum() < SETTLED_SIGMAS**2:
+        if step >= 2 and (increment * (H @ increment)).sum() < _SETTLED_SIGMAS**2:
             break
     return T, pixel, depth

@@ -19,7 +19,7 @@ from pose_server.geometry.matching import NO_MATCHES, union
 from pose_server.geometry.refine import NoiseScale
 from pose_server.geometry.se3 import inverse
 from pose_server.geometry.triangles import MOST_MATCHES, poses_by_triangles
-from pose_server.pairs.aliases import aliases_of
+from pose_server.pairs.aliases import Alias, aliases_of
 from pose_server.pairs.explained import (
     LEAST_EXPECTED,
     PARALLAX_RAD,
@@ -141,11 +141,15 @@ def one_step_on(pair: Pair, T: Floats) -> list[Floats]:
     poses: list[Floats] = []
     for column, view in enumerate((pair.i, pair.j)):
         for alias in aliases_of(view)[:1]:
-            for A in (alias.T, inverse(alias.T)):
-                pose = A @ T if column == 0 else T @ A
+            for pose in _either_way(T, alias, column):
                 if all(pair.gravely_apart(pose, other) for other in poses):
                     poses.append(pose)
     return poses[:_MOST_RIVALS]
+
+
+def _either_way(T: Floats, alias: Alias, column: int) -> list[Floats]:
+    """A pose shifted by a motion of view i (0) or j (1), and by its inverse."""
+    return [A @ T if column == 0 else T @ A for A in (alias.T, inverse(alias.T))]
 
 
 def _lead(lost: int, own: int) -> float:
@@ -176,8 +180,7 @@ def _shifted(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
             if not alias.explains(points):
                 continue
             places = int(alias.repeated[points].sum())
-            for A in (alias.T, inverse(alias.T)):
-                pose = A @ T if column == 0 else T @ A
+            for pose in _either_way(T, alias, column):
                 if pair.agreement(pose).through < _MOST_THROUGH:
                     rivals.append(Rival(pose, places, 0, lost, by_itself=True))
     return rivals
@@ -276,11 +279,10 @@ def _holes_in(of: "_Claim", beside: "_Claim", column: int) -> int:
     if known.sum() < _COMMON:
         return 0
     unseen = known & ~of.found[column] & ~of.expected[column]
-    partners_found = of.found[1 - column][beside.agreeing[:, 1 - column]]
     accounted = of.found[column] | beside.repeated(unseen, column)
-    accounted[beside.agreeing[partners_found, column]] |= unseen[
-        beside.agreeing[partners_found, column]
-    ]
+    # a partner that is found elsewhere explains as well why the two look alike
+    explained = beside.agreeing[of.found[1 - column][beside.agreeing[:, 1 - column]], column]
+    accounted[explained] |= unseen[explained]
     return empty_parts(view, view.uv[known], accounted[known])
 
 
