@@ -34,7 +34,7 @@ from protocol.errors import DataFolderError
 
 # Of the weights, in units of their signs' scatter: every sign is expected to speak, the pairs at
 # hand must not silence one that happens to say little in them.
-_PRIOR, _RIDGE = 0.4, 3.0
+_PRIOR, _RIDGE, _LEAST_OF_PRIOR = 0.4, 3.0, 0.75
 # Of squared contrasts, as they are: half of what Gaussian scatter would give, for its tails are
 # longer than that.
 _PRIOR_OF_CHI2 = 0.25
@@ -135,7 +135,7 @@ def fit(rows: Sequence[Judged]) -> TrustModel:
 
 
 def _fit_expected(right: Sequence[Judged]) -> tuple[Floats, Floats]:
-    """(3, C) least squares of right poses' shares on their circumstances, and (3,) the scatter;
+    """(4, C) least squares of right poses' shares on their circumstances, and (4,) the scatter;
     outliers count less.
     """
     C = np.array([circumstances(row.evidence) for row in right])
@@ -162,7 +162,9 @@ def _place_weights(rows: Sequence[Judged]) -> Floats:
 
 
 def _fit_logistic(X: Floats, y: Floats, w: Floats) -> tuple[Floats, float]:
-    """Weights (S,) >= 0 and bias of the log odds that y is 1, with a ridge around their prior."""
+    """Weights (S,) and bias of the log odds that y is 1, with a ridge around their prior: all >= 0,
+    and so much of it at least.
+    """
     scale = X.std(axis=0) + 1e-6
     Z = X / scale
     squared = np.array([name in CHI2_SIGNS for name in SIGNS])
@@ -175,7 +177,7 @@ def _fit_logistic(X: Floats, y: Floats, w: Floats) -> tuple[Floats, float]:
         gradient = np.concatenate(([slope.sum()], Z.T @ slope + _RIDGE * (theta[1:] - prior)))
         return float((w * loss).sum() + 0.5 * _RIDGE * ((theta[1:] - prior) ** 2).sum()), gradient
 
-    bounds = [(None, None)] + [(0.0, None)] * X.shape[1]
+    bounds = [(None, None), *((_LEAST_OF_PRIOR * one, None) for one in prior)]
     found = minimize(cost, np.zeros(X.shape[1] + 1), jac=True, method="L-BFGS-B", bounds=bounds)
     return found.x[1:] / scale, float(found.x[0])
 

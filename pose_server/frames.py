@@ -1,5 +1,8 @@
 """From views to keyframes, from cameras to bodies, from a component's root to the fleet's frame."""
 
+import math
+from statistics import NormalDist
+
 import numpy as np
 import numpy.typing as npt
 
@@ -13,6 +16,7 @@ from pose_server.geometry.se3 import (
     position_covariance,
 )
 from pose_server.pairs.judging import PairResult
+from pose_server.pairs.pair import GRAVE_POSITION
 from pose_server.pairs.tracking import Attached
 
 Floats = npt.NDArray[np.floating]
@@ -55,6 +59,18 @@ def strayed(T: Floats, covariance: Floats, age_s: float, depth_m: float) -> Floa
 def position_sigma(T: Floats, covariance: Floats) -> float:
     """Sigma of the weakest position direction, metres."""
     return float(np.sqrt(max(np.linalg.eigvalsh(position_covariance(T, covariance))[-1], 0.0)))
+
+
+def grave_by_noise(sigma: float) -> float:
+    """Probability that a position known to sigma, share of the median depth, is gravely off though
+    all that it rests on is right.
+    """
+    return math.erfc(GRAVE_POSITION / (math.sqrt(2.0) * max(sigma, 1e-9)))
+
+
+def sigma_by_grave(p_grave: float) -> float:
+    """The sigma, share of the median depth, at which `grave_by_noise` is so much."""
+    return GRAVE_POSITION / NormalDist().inv_cdf(1.0 - p_grave / 2)
 
 
 def upright(up: Floats) -> Floats:

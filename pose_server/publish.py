@@ -9,7 +9,7 @@ from pose_server import alarms
 from pose_server.anchoring import why_apart
 from pose_server.doubts import why_doubted
 from pose_server.fleet.types import NodePose
-from pose_server.frames import body_pose, in_fleet, position_sigma, strayed
+from pose_server.frames import body_pose, grave_by_noise, in_fleet, position_sigma, strayed
 from pose_server.geometry.se3 import rotation_angle
 from pose_server.matrix import error_of, pair_cells
 from pose_server.pairs.judging import PairResult
@@ -167,6 +167,12 @@ def _why_not(
     if share > settings.located_sigma:
         limit = settings.located_sigma
         return f"its position is known to {share:.1%} of the depth, need {limit:.0%}"
+    grave = 1.0 - (1.0 - node.p_grave) * (1.0 - grave_by_noise(share))
+    if grave > settings.located_grave:
+        return (
+            f"its position is known to {share:.1%} of the depth: gravely off with a probability of "
+            f"{grave:.1%}, need {settings.located_grave:.0%}"
+        )
     return ""
 
 

@@ -11,6 +11,7 @@ from pose_server.asking import Asked
 from pose_server.fleet import chances
 from pose_server.fleet.chances import Look, Try
 from pose_server.fleet.questions import PairFacts, rank_questions
+from pose_server.frames import sigma_by_grave
 from pose_server.geometry.se3 import inverse, rotation_angle
 from pose_server.pairs.candidates import similarity
 from pose_server.site import PairRecord, RobotPair, Site, ViewPair
@@ -66,7 +67,7 @@ def _ranked(site: Site, newest: dict[str, ViewName]) -> tuple[Question, ...]:
         facts,
         depth_m,
         site.anchor,
-        located_sigma=site.located_sigma,
+        located_sigma=min(site.located_sigma, sigma_by_grave(site.located_grave)),
         located_grave=site.located_grave,
     )
     return tuple(ranked)

@@ -98,12 +98,12 @@ def _heard(pair: Pair, one: OperatorStart, result: PairResult) -> Heard:
     as long as these clicks agree with that, whichever they like best.
     """
     poses = [one.start.T_i_j]
-    if result.T_i_j is not None and one.suits(result.T_i_j):
+    if result.T_i_j is not None and _back(one, result.T_i_j):
         poses.append(result.T_i_j)
     said = max((hear(pair, T, one.start.sigma) for T in poses), key=_liking)
     if said.says == "for":
         return said
-    refined = [c.T_i_j for c in from_start(pair, one.start)[1:] if one.suits(c.T_i_j)]
+    refined = [c.T_i_j for c in from_start(pair, one.start)[1:] if _back(one, c.T_i_j)]
     return max((said, *(hear(pair, T, one.start.sigma) for T in refined)), key=_liking)
 
 
@@ -154,9 +154,10 @@ def _outdone(result: PairResult, best: OperatorStart, pair: Pair) -> PairResult:
 
 
 def _believed(result: PairResult, best: OperatorStart, said: Heard, pair: Pair) -> PairResult:
-    """The clicks make it plausible; of two poses the sharper is taken: what features made of it, if
-    all clicks agree with that, else the clicks' own. Either is as sure as the clicks are.
+    """The clicks make the pose plausible that the images like best of those they agree with: their
+    own, or what features made of it. Either is as sure as the clicks are.
     """
+    by_features = said.T_i_j is result.T_i_j
     p_grave = _P_GRAVE[said.says]
     told = ""
     if said.says != "for":
@@ -171,11 +172,9 @@ def _believed(result: PairResult, best: OperatorStart, said: Heard, pair: Pair) 
         accepted = tuple((best.inliers | loosely).tolist())
     hearing = Hearing(accepted, p_grave, told)
     done = {"confirmed": True, "p_grave": p_grave, "hearing": hearing, "rivals": ()}
-    own = result.T_i_j is not None and best.suits(result.T_i_j)
-    if own and result.verdict == "plausible":
+    if by_features and result.verdict == "plausible":
         return replace(result, grown=result.start == "operator", **done)
     count = int(best.inliers.sum())
-    by_features = own and said.T_i_j is result.T_i_j
     reason = (
         f"{count} correspondences agree with it"
         if by_features

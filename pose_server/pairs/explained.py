@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from pose_server.geometry.evidence import hides
 from pose_server.geometry.observed import Observed
@@ -25,6 +26,9 @@ _NO_CHANCE = 3.0  # places expected to be found in a part: none is found by chan
 # What is found again falls off with the parallax p as exp(-(p / PARALLAX_RAD)^2), to this share.
 PARALLAX_RAD, LEAST_EXPECTED = np.radians(70.0), 0.2
 _EASY_PARALLAX_RAD, _EASY_SCALE = np.radians(40.0), np.log(1.6)
+_CHANCE, _MOST_LIKELY = 1e-3, 0.95  # that none of the points around is found; that one is
+_LEAST_AROUND, _MOST_AROUND = 20, 60  # points
+_ASKED_POINTS, _LEAST_TOLD = 300, 10  # of a view, enough to tell a share
 _CELL_PX = 4.0  # copies of one spot in several tilted images are one place
 
 
@@ -37,9 +41,9 @@ class Explained:
         share: places that agree, over these.
         unguided_share: of the matches by descriptor alone between places that both should see, the
             ones that agree.
-        holes: share of the visible places in parts of a view where none is found, though by the
-            share of all some should be; of the worse view. A right pose finds less at a wide angle,
-            but everywhere; an alias finds nothing of what stands about only once.
+        holes: share of the visible points around which none is found, though that is no chance by
+            what is found elsewhere; of the better view. A right pose finds less at a wide angle,
+            but everywhere; an alias finds nothing of what stands about only once, in either view.
         parallax_rad: median angle between both cameras' rays to these places.
         scale: median of |log| of the ratio of both cameras' distances to them.
         front: share of the surfaces that are seen from their front, of the worse direction.
@@ -97,9 +101,9 @@ def explained(pair: Pair, T: Floats, agreeing: Indices, unguided: Bools) -> Expl
     return Explained(
         visible=min(places_i, places_j),
         share=min(found_i, found_j) / max(min(places_i, places_j), 1),
-        holes=max(
-            holes(pair.i.observed, of_i.mask, agreeing[:, 0]),
-            holes(pair.j.observed, of_j.mask, agreeing[:, 1]),
+        holes=min(
+            holes(pair.i.observed.uv, of_i, agreeing[:, 0]),
+            holes(pair.j.observed.uv, of_j, agreeing[:, 1]),
         ),
         unguided_share=float((unguided & expected).sum() / max(expected.sum(), 1)),
         parallax_rad=_median(np.concatenate((of_i.parallax_rad, of_j.parallax_rad))),
@@ -123,13 +127,34 @@ def visible_in(
     return Visible(mask, *seen_from_both(here, T_target_source))
 
 
-def holes(view: Observed, visible: Bools, found: Indices) -> float:
-    """Share of the visible points (N,) in parts of an image in which none is among those found."""
-    if not visible.any():
+def holes(uv: Floats, visible: Visible, found: Indices) -> float:
+    """Share of the visible points of a view around which none is found, though that is no chance.
+
+    How likely a point is found is told by its angle and distance to both cameras and by the share
+    of all that are. Around it so many of the nearest ones are looked at that one of a thousand
+    times none would be found; points around which too little may be expected do not count.
+
+    Args:
+        uv: (N, 2) pixels of all salient points of the view.
+        visible: those that the other one should see.
+        found: numbers of those that are found again.
+    """
+    uv = uv[visible.mask]
+    if len(uv) < _LEAST_AROUND:
         return 0.0
-    again = np.zeros(len(view.uv), bool)
+    again = np.zeros(len(visible.mask), bool)
     again[found] = True
-    return empty_parts(view, view.uv[visible], again[visible]) / int(visible.sum())
+    again = again[visible.mask]
+    likely = np.exp(-((visible.parallax_rad / PARALLAX_RAD) ** 2) - visible.scale**2)
+    likely = np.clip(likely * again.sum() / max(likely.sum(), 1e-9), 0.0, _MOST_LIKELY)
+    some = slice(None, None, 1 + len(uv) // _ASKED_POINTS)
+    _, nearest = cKDTree(uv).query(uv[some], k=min(_MOST_AROUND, len(uv)))
+    no_chance = np.cumsum(np.log1p(-likely)[nearest], axis=1) < np.log(_CHANCE)
+    told = no_chance[:, -1]
+    if told.sum() < _LEAST_TOLD:
+        return 0.0
+    none = np.cumsum(again[nearest], axis=1)[np.arange(len(told)), no_chance.argmax(axis=1)] == 0
+    return float((told & none).sum() / told.sum())
 
 
 def empty_parts(view: Observed, uv: Floats, again: Bools, rate: float | None = None) -> int:

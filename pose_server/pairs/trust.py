@@ -17,7 +17,7 @@ Floats = npt.NDArray[np.floating]
 
 _NOTHING = 0.003  # share of places that is as good as none: its logarithm stays finite
 _FEW = 0.003
-_MOST_CHI2, _MOST_OFF = 25.0, 0.5
+_MOST_CHI2, _MOST_OFF, _MOST_HOLES = 25.0, 0.5, 0.2
 # How likely a pose may be gravely off that is called verified, and from where on it is refused. Of
 # the poses called verified far fewer are: most are far below the limit.
 VERIFIED_P_GRAVE, REJECTED_P_GRAVE = 0.03, 0.9
@@ -28,6 +28,10 @@ _CLEAR_LEAD = 1.0
 RIVAL_P_GRAVE = 0.2
 # What one of two alike things is taken for may be the other.
 ELSEWHERE_P_GRAVE = 0.5
+# Sigmas that the explained and the unguided share lack together: of right poses one in fifty lacks
+# more, a facade taken for its own mirror image lacks 4 to 6. All else is right there, so that the
+# fit takes these for aliases that nothing tells; the weight is set so that most are told.
+_BOTH_POOR, _MOST_POOR, _PER_SIGMA = 3.5, 4.0, 1.5
 _LEAST, _MOST = 1e-4, 1 - 1e-4  # no evidence of one pair says more: so many pairs were fitted on
 
 
@@ -36,8 +40,8 @@ class TrustModel:
     """Fitted numbers; see `pose-eval trust`.
 
     Attributes:
-        expected: (5, 6) weights of `circumstances`, for the `shares` of a right pose.
-        scatter: (5,) sigmas of right poses around these.
+        expected: (4, 6) weights of `circumstances`, for the `shares` of a right pose.
+        scatter: (4,) sigmas of right poses around these.
         weights: (S,) of `signs`, and `bias`: the log odds of a grave error.
     """
 
@@ -63,8 +67,8 @@ def circumstances(e: Evidence) -> Floats:
 
 
 def shares(e: Evidence) -> Floats:
-    """(5,) what a right pose has much of: log of the explained share and of the unguided share,
-    logit of the agreement, and less the logs of what is seen through and of parts without any find.
+    """(4,) what a right pose has much of: log of the explained share and of the unguided share,
+    logit of the agreement, and less the log of what is seen through.
     """
     agree = np.clip(e.agree, 0.02, 0.98)
     return np.array(
@@ -73,7 +77,6 @@ def shares(e: Evidence) -> Floats:
             np.log(e.explained.unguided_share + _NOTHING),
             np.log(agree / (1 - agree)),
             -np.log(e.through + _FEW),
-            -np.log(e.explained.holes + 10 * _FEW),
         )
     )
 
@@ -83,7 +86,7 @@ def signs(e: Evidence, contrast: Floats) -> Floats:
 
     Args:
         e: the evidence.
-        contrast: (5,) of its shares with what right poses have, sigmas; negative is poor.
+        contrast: (4,) of its shares with what right poses have, sigmas; negative is poor.
     """
     lacking = np.maximum(-contrast, 0.0)
     return np.array(
@@ -96,6 +99,7 @@ def signs(e: Evidence, contrast: Floats) -> Floats:
             1 - e.explained.front if e.explained.sides >= 10 else 0.0,
             np.log(np.clip(3 * e.position_sigma + e.shift + e.pulled, 0.003, _MOST_OFF)),
             min((e.rival + 1) / (e.rivalled + 1), 1.0),
+            min(e.explained.holes, _MOST_HOLES),
         )
     )
 
@@ -105,7 +109,6 @@ CHI2_SIGNS = (
     "found_by_guidance_alone",
     "surfaces_disagree",
     "seen_through",
-    "holes",
 )
 SIGNS = (
     *CHI2_SIGNS,
@@ -116,18 +119,22 @@ SIGNS = (
     "from_behind",
     "undetermined",
     "rival",
+    "holes",
 )
 
 
 def contrast(model: TrustModel, e: Evidence) -> Floats:
-    """(5,) of the shares with what right poses have in these circumstances, sigmas."""
+    """(4,) of the shares with what right poses have in these circumstances, sigmas."""
     expected = np.asarray(model.expected) @ circumstances(e)
     return (shares(e) - expected) / np.asarray(model.scatter)
 
 
 def p_grave(e: Evidence, model: TrustModel) -> float:
     """Probability (0..1) that a pose with this evidence is gravely off."""
-    log_odds = model.bias + float(np.dot(model.weights, signs(e, contrast(model, e))))
+    lacking = contrast(model, e)
+    log_odds = model.bias + float(np.dot(model.weights, signs(e, lacking)))
+    poor = -float(lacking[0] + lacking[1]) - _BOTH_POOR
+    log_odds += _PER_SIGMA * float(np.clip(poor, 0.0, _MOST_POOR))
     return float(np.clip(1 / (1 + np.exp(-np.clip(log_odds, -30, 30))), _LEAST, _MOST))
 
 

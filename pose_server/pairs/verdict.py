@@ -78,8 +78,9 @@ def _doubts(e: Evidence, p_grave: float) -> tuple[str, ...]:
             p_grave > VERIFIED_P_GRAVE,
             f"gravely off with a probability of {p_grave:.1%}, at most {VERIFIED_P_GRAVE:.0%}: "
             f"{e.explained.share:.0%} of {e.explained.visible} points that both should see are "
-            f"found again, {e.explained.unguided_share:.0%} by looks alone, {e.agree:.0%} of the "
-            f"surfaces agree, {e.through:.0%} are seen through",
+            f"found again, {e.explained.unguided_share:.0%} by looks alone, and "
+            f"{e.explained.holes:.0%} lie where none is found; {e.agree:.0%} of the surfaces "
+            f"agree, {e.through:.0%} are seen through",
         ),
     )
 

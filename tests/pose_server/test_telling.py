@@ -13,6 +13,7 @@ from pose_server import answers, pipeline, publish, telling
 from pose_server.correspondences.book import Book
 from pose_server.fleet.types import EdgeJudgement
 from pose_server.frames import position_sigma
+from pose_server.geometry.se3 import hat
 from pose_server.matrix import pair_cells
 from pose_server.pairs.engine import Done
 from pose_server.pairs.judging import PairResult
@@ -151,6 +152,21 @@ def test_a_relative_pose_says_that_both_are_located_and_by_what():
     assert (told.located, told.why_not, told.age_s) == (True, "", 1.0)
     assert told.verdict == site.solution.nodes[named(0, "r2")].verdict
     assert told.p_grave == pytest.approx(0.07)
+
+
+@pytest.mark.parametrize(("sigma", "located"), [(0.015, True), (0.035, False), (0.06, False)])
+def test_who_is_known_so_badly_that_noise_alone_may_be_grave_is_not_located(sigma, located):
+    site = fleet_of_two()
+    views = {name: robot.track.newest.keyframe for name, robot in site.robots.items()}
+    node = site.solution.nodes[views["r2"]]
+    variances = np.repeat((1e-8, (sigma * site.depth_m) ** 2), 3)
+    shift = np.eye(6)
+    shift[3:, :3] = -hat(node.T_root_camera[:3, 3])
+    covariance = np.linalg.inv(shift) @ np.diag(variances) @ np.linalg.inv(shift).T
+    site.solution.nodes[views["r2"]] = replace(node, covariance=covariance)
+    pose = published(site, 1.0).robots["r2"].published
+    assert pose.located is located
+    assert located or "its position is known to" in pose.why_not
 
 
 @pytest.mark.parametrize("gone", ["r1", "r2"])
