@@ -1,6 +1,6 @@
 """The server's knowledge as messages: poses, alignments, the fleet's state."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +10,7 @@ from pose_server.anchoring import why_apart
 from pose_server.doubts import why_doubted
 from pose_server.fleet.types import NodePose
 from pose_server.frames import body_pose, grave_by_noise, in_fleet, position_sigma, strayed
-from pose_server.geometry.se3 import rotation_angle
+from pose_server.geometry.se3 import inverse, rotation_angle
 from pose_server.matrix import error_of, pair_cells
 from pose_server.pairs.judging import PairResult
 from pose_server.questions import questions
@@ -19,6 +19,8 @@ from pose_server.site import Robot, Site
 from protocol.messages import (
     Alignment,
     FleetState,
+    IcpFit,
+    OperatorFit,
     PairError,
     RobotPose,
     RobotState,
@@ -254,9 +256,28 @@ def alignment(i: ViewName, j: ViewName, result: PairResult, stamp: Stamp, n: int
         timings_ms=result.timings_ms,
         p_grave=result.p_grave,
         rivals=result.rivals,
+        operator=_operator_fit(result),
+        icp=_icp_fit(result),
         server_epoch=stamp.epoch,
         n=n,
     )
+
+
+def _operator_fit(result: PairResult) -> OperatorFit | None:
+    told = result.by_clicks
+    if told is None:
+        return None
+    T_j_i = None if result.T_i_j is None else inverse(result.T_i_j)
+    return OperatorFit(
+        T_j_i_operator=inverse(told.T_i_j),
+        T_j_i_refine=None if T_j_i is None else T_j_i @ told.T_i_j,
+        model=told.model,
+        correspondences=told.ids,
+    )
+
+
+def _icp_fit(result: PairResult) -> IcpFit | None:
+    return None if result.icp is None else IcpFit(**asdict(result.icp))
 
 
 def fleet_state(site: Site, settings: ServerSettings, stamp: Stamp, n: int) -> FleetState:

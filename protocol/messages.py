@@ -11,6 +11,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from protocol.alignment import Alignment as Alignment
+from protocol.alignment import IcpFit as IcpFit
+from protocol.alignment import OperatorFit as OperatorFit
 from protocol.arrays import ClickedPixel, Matrix6, Pixel, Pose, Vector3
 from protocol.base import MAX_MESSAGE_BYTES, Message
 from protocol.camera import ROBOT_FROM_CAMERA as ROBOT_FROM_CAMERA
@@ -202,33 +205,6 @@ class RobotPose(Message, frozen=True, schema="fleet.pose.v2", before="fleet.pose
         is from its arrival. Zero: it was too old when sent.
         """
         return max((self.valid_until_ns - self.stamp_ns) * 1e-9 - self.age_s, 0.0)
-
-
-class Alignment(Message, frozen=True, schema="fleet.alignment.v2", before="fleet.alignment.v1"):
-    """`pair/<i>/<j>/alignment`: the newest alignment of a pair, i < j."""
-
-    view_i: ViewName
-    view_j: ViewName
-    T_i_j: Pose | None = Field(
-        description="camera of view j in camera of view i; none if not found"
-    )
-    covariance: Matrix6 | None
-    information: Matrix6 | None
-    verdict: Verdict
-    reasons: Many[Text]
-    regression_error_m2: NonNegative
-    regression_count: Count
-    rmse_m: NonNegative
-    overlap: NonNegative
-    inliers: Count
-    start: Name = Field(description="the start it grew from: operator, previous, graph, features")
-    timings_ms: dict[Text, NonNegative]
-    p_grave: Probability = Field(1.0, description="that T_i_j is gravely off, by all evidence")
-    rivals: Annotated[tuple[Pose, ...], Field(max_length=16)] = Field(
-        (), description="other T_i_j that the images support as well"
-    )
-    server_epoch: Epoch
-    n: Count
 
 
 CorrespondenceStatus = Literal["accepted", "outlier", "unused"]

@@ -184,7 +184,7 @@ def _step(
         source,
         None if pose is None else position_error_m(T_true, pose),
         None if pose is None else rotation_error_deg(T_true, pose),
-        result.timings_ms.get("icp", 0.0),
+        result.icp.ms if result.icp else 0.0,
         align_ms,
     )
 

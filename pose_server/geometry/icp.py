@@ -1,15 +1,25 @@
-"""Dense refinement by generalised ICP (Segal et al. 2009) through small_gicp."""
+"""The Iterative Closest Point algorithm through libraries: generalised (Segal et al. 2009) for
+dense clouds and point to point (Besl and McKay 1992) by small_gicp, point to point and point to
+plane (Chen and Medioni 1992) by Open3D.
+"""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 import small_gicp
 
-from pose_server.geometry.se3 import adjoint, inverse
+from pose_server.geometry.errors import MissingLibraryError
+from pose_server.geometry.se3 import adjoint, inverse, transform
 
 Floats = npt.NDArray[np.floating]
 
+Method = Literal["gicp", "point_to_point", "point_to_plane", "off"]
+"""`gicp` takes plain points one by one, where clouds are too sparse to have surfaces."""
+
+_ITERATIONS = 100  # of point to point, which needs many
+_NORMAL_NEIGHBOURS = 12  # of a point, which its plane is fitted to
 _SETTLED = 0.03  # a step of less than this share of the resolution ends the search
 _FLATNESS = 2e-3  # m^2: small_gicp takes every point for a disc of 1e-3 m^2 across it, both clouds
 
@@ -31,6 +41,12 @@ def dense_cloud(points: Floats, resolution_m: float) -> DenseCloud:
     return DenseCloud(cloud, tree, resolution_m)
 
 
+def plain_cloud(points: Floats) -> DenseCloud:
+    """Prepares points (N, 3) as they are, for ICP from point to point."""
+    cloud = small_gicp.PointCloud(points)
+    return DenseCloud(cloud, small_gicp.KdTree(cloud), 0.0)
+
+
 @dataclass(frozen=True)
 class SurfaceFit:
     """A pose that surfaces agree on.
@@ -43,6 +59,29 @@ class SurfaceFit:
 
     T_i_j: Floats
     hessian: Floats
+
+
+@dataclass(frozen=True)
+class Residual:
+    """How far points of j are from the nearest of i, of those within a radius: the sum of their
+    squared distances, m^2, and how many there are.
+    """
+
+    error_m2: float
+    count: int
+
+    @property
+    def rms_m(self) -> float:
+        """Root mean square distance, 0 where no point has a partner."""
+        return float(np.sqrt(self.error_m2 / self.count)) if self.count else 0.0
+
+
+def residual(i: DenseCloud, points_j: Floats, T_i_j: Floats, radius_m: float) -> Residual:
+    """What is left between points (M, 3) of j and a cloud of i at a pose."""
+    _, distance2 = i.tree.batch_nearest_neighbor_search(transform(T_i_j, points_j))
+    near = np.asarray(distance2)
+    near = near[near < radius_m**2]
+    return Residual(float(near.sum()), len(near))
 
 
 def gicp(
@@ -67,3 +106,60 @@ def gicp(
     back = adjoint(inverse(T))  # small_gicp perturbs from the right
     hessian = back.T @ np.asarray(found.H, np.float64) @ back
     return SurfaceFit(T, _FLATNESS * hessian)
+
+
+def point_to_point(i: DenseCloud, j: DenseCloud, T_i_j: Floats, radius_m: float) -> Floats:
+    """T_i_j by small_gicp's plain ICP, with points no farther apart than a radius."""
+    found = small_gicp.align(
+        i.cloud,
+        j.cloud,
+        i.tree,
+        T_i_j,
+        registration_type="ICP",
+        max_correspondence_distance=radius_m,
+        num_threads=1,
+        max_iterations=_ITERATIONS,
+        translation_epsilon=1e-5 * radius_m,
+        rotation_epsilon=1e-6,
+    )
+    return np.asarray(found.T_target_source, np.float64)
+
+
+def by_open3d(
+    points_i: Floats, points_j: Floats, T_i_j: Floats, radius_m: float, method: Method
+) -> Floats:
+    """T_i_j by Open3D's ICP, from point to point or to the planes of i.
+
+    Raises:
+        MissingLibraryError: Open3D is not there.
+    """
+    o3d = open3d()
+    registration = o3d.pipelines.registration
+    i, j = (
+        o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+        for points in (points_i, points_j)
+    )
+    how = registration.TransformationEstimationPointToPoint()
+    if method == "point_to_plane":
+        i.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(_NORMAL_NEIGHBOURS))
+        how = registration.TransformationEstimationPointToPlane()
+    until = registration.ICPConvergenceCriteria(max_iteration=_ITERATIONS)
+    found = registration.registration_icp(j, i, radius_m, T_i_j, how, until)
+    return np.array(found.transformation, np.float64)
+
+
+def open3d():  # noqa: ANN201
+    """The library, which needs others of the system.
+
+    Raises:
+        MissingLibraryError: it is not there; the text says what to do.
+    """
+    try:
+        import open3d as o3d
+    except (ImportError, OSError) as error:
+        raise MissingLibraryError(
+            f"Open3D cannot be loaded ({error}): pip install 'fleetpose[server]'; it needs "
+            "libusb-1.0, libGL and libEGL from the system"
+        ) from error
+    o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)
+    return o3d

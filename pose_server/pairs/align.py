@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from pose_server.geometry.icp import Method
 from pose_server.pairs.byproducts import with_byproducts, with_suggestions
 from pose_server.pairs.judging import PairResult, contested, judged
 from pose_server.pairs.pair import RATIO, WIDE_RATIO, Pair
@@ -42,6 +43,7 @@ def align_pair(
     j: PreparedView,
     starts: Sequence[Start] = (),
     features: bool = True,
+    icp: Method = "gicp",
 ) -> PairResult:
     """Aligns two views.
 
@@ -50,6 +52,7 @@ def align_pair(
         starts: poses to begin from, beside the one found by features.
         features: whether to look for a start by features; off where only the given starts may be
             used.
+        icp: how clouds are brought together.
     """
     began = time.perf_counter()
     pair = Pair(i, j, RATIO)
@@ -57,16 +60,16 @@ def align_pair(
     candidates: list[Candidate] = []
     for start in starts:
         candidates += from_start(pair, start)
-    result = _judge_best(pair, candidates) if candidates else None
+    result = _judge_best(pair, candidates, icp) if candidates else None
     if features and (result is None or not _is_strong(result)):
         more = from_poses(pair, pair.ratio, "features", _USUAL_POSES)
         candidates += more
-        result = _judge_best(pair, candidates) if more else result
+        result = _judge_best(pair, candidates, icp) if more else result
     if result is None:
         result = PairResult(None, None, "rejected", (_why_no_start(pair, starts),))
         return with_byproducts(pair, result)
     refined = time.perf_counter()
-    result = contested(pair, _finished(pair, candidates, result))
+    result = contested(pair, _finished(pair, candidates, result, icp))
     timings = {
         "match": 1e3 * (matched - began),
         "refine_and_judge": 1e3 * (refined - matched),
@@ -76,7 +79,11 @@ def align_pair(
 
 
 def align_wide(
-    i: PreparedView, j: PreparedView, usual: PairResult, starts: Sequence[Start] = ()
+    i: PreparedView,
+    j: PreparedView,
+    usual: PairResult,
+    starts: Sequence[Start] = (),
+    icp: Method = "gicp",
 ) -> PairResult:
     """Aligns two views again by their wide sets of salient points; where no matches agree, by the
     shapes of dense clouds.
@@ -85,6 +92,7 @@ def align_wide(
         i, j: the views with their wide sets.
         usual: what `align_pair` made of the usual sets; its pose is a candidate too.
         starts: poses to begin from as well.
+        icp: how clouds are brought together.
     """
     began = time.perf_counter()
     pair = Pair(i, j, WIDE_RATIO)
@@ -92,18 +100,22 @@ def align_wide(
     candidates += from_poses(pair, pair.ratio, "wide", _WIDE_POSES)
     if usual.T_i_j is not None:
         candidates.append(Candidate(pair, usual.start, usual.T_i_j))
-    result = _judge_best(pair, candidates) if candidates else usual
-    if result.verdict == "rejected" and i.dense and j.dense:
+    result = _judge_best(pair, candidates, icp) if candidates else usual
+    if result.verdict == "rejected" and i.dense and j.dense and icp != "off":
         candidates += from_surfaces(pair)
-        result = _judge_best(pair, candidates) if candidates else usual
-    result = contested(pair, _finished(pair, candidates, result))
+        result = _judge_best(pair, candidates, icp) if candidates else usual
+    result = contested(pair, _finished(pair, candidates, result, icp))
     timings = {**usual.timings_ms, "wide": 1e3 * (time.perf_counter() - began)}
     result = replace(result, timings_ms=timings, depths=usual.depths, moving=usual.moving)
     return with_suggestions(pair, result)
 
 
 def align_from(
-    i: PreparedView, j: PreparedView, starts: Sequence[Start], known: PairResult
+    i: PreparedView,
+    j: PreparedView,
+    starts: Sequence[Start],
+    known: PairResult,
+    icp: Method = "gicp",
 ) -> PairResult:
     """Aligns two views from given starts alone: what features say of them is known already, and is
     kept where no start leads to anything better. Somebody waits for it: the usual sets must do.
@@ -112,6 +124,7 @@ def align_from(
         i, j: the views.
         starts: poses to begin from.
         known: what `align_pair` or `align_wide` made of the same views.
+        icp: how clouds are brought together.
     """
     began = time.perf_counter()
     pair = Pair(i, j, RATIO)
@@ -120,7 +133,7 @@ def align_from(
         candidates.append(Candidate(pair, known.start, known.T_i_j))
     if not candidates or best_of(candidates).T_i_j is known.T_i_j:
         return known
-    result = contested(pair, _finished(pair, candidates, _judge_best(pair, candidates)))
+    result = contested(pair, _finished(pair, candidates, _judge_best(pair, candidates, icp), icp))
     if _TRUST[result.verdict] < _TRUST[known.verdict]:
         return known
     timings = {"from_starts": 1e3 * (time.perf_counter() - began)}
@@ -140,26 +153,32 @@ def is_settled(result: PairResult) -> bool:
     )
 
 
-def _finished(pair: Pair, candidates: Sequence[Candidate], result: PairResult) -> PairResult:
+def _finished(
+    pair: Pair, candidates: Sequence[Candidate], result: PairResult, icp: Method
+) -> PairResult:
     """The result of the best candidate, or of what ICP makes of it where that is better."""
-    if not (pair.i.dense and pair.j.dense and _needs_icp(result)):
+    if result.verdict == "rejected" or not (result.icp is None or _needs_icp(result)):
         return result
     best = best_of(candidates)
-    dense = with_icp(pair, best)
-    return result if dense is best else judged(pair, dense.T_i_j, dense.start)
+    refined = with_icp(pair, best, icp)
+    if refined.icp is not None and refined.icp.kept:
+        again = judged(pair, refined.T_i_j, refined.start)
+        return replace(again, icp=refined.icp)
+    return replace(result, icp=result.icp or refined.icp)
 
 
 def _needs_icp(result: PairResult) -> bool:
     """Whether the pose is about right, but the features leave it weak."""
     e = result.evidence
-    if e is None or result.verdict == "rejected":
-        return False
-    return result.verdict != "verified" or e.position_sigma > _WEAK_SIGMA
+    return e is not None and (result.verdict != "verified" or e.position_sigma > _WEAK_SIGMA)
 
 
-def _judge_best(pair: Pair, candidates: Sequence[Candidate]) -> PairResult:
-    best = with_surfaces(pair, middle_of(pair, candidates))
-    return judged(pair, best.T_i_j, best.start, best.T_by_matches)
+def _judge_best(pair: Pair, candidates: Sequence[Candidate], icp: Method) -> PairResult:
+    best = middle_of(pair, candidates)
+    if icp == "gicp":
+        best = with_surfaces(pair, best)
+    result = judged(pair, best.T_i_j, best.start, best.T_by_matches)
+    return replace(result, icp=best.icp)
 
 
 def _is_strong(result: PairResult) -> bool:

@@ -21,7 +21,9 @@ from pose_server.pairs.judging import PairResult
 from pose_server.pairs.pair import RATIO, Pair
 from pose_server.pairs.refining import from_start
 from pose_server.pairs.starts import (
+    BY_CLICKS,
     FULL_POSE,
+    OPERATOR,
     Clicks,
     OperatorStart,
     operator_starts,
@@ -99,7 +101,7 @@ def _heard(pair: Pair, one: OperatorStart, result: PairResult) -> Heard:
     """
     poses = [one.start.T_i_j]
     if result.T_i_j is not None and _back(one, result.T_i_j):
-        poses.append(result.T_i_j)
+        poses.insert(0, result.T_i_j)  # it is the sharper one where the images like both the same
     said = max((hear(pair, T, one.start.sigma) for T in poses), key=_liking)
     if said.says == "for":
         return said
@@ -122,7 +124,7 @@ def _confirmed(result: PairResult, one: OperatorStart) -> PairResult:
     """A verified pose that clicks agree with."""
     assert result.T_i_j is not None
     hearing = Hearing(_agreeing(one, result.T_i_j), min(result.p_grave, P_SUPPORTED))
-    return replace(result, confirmed=True, grown=result.start == "operator", hearing=hearing)
+    return replace(result, confirmed=True, grown=result.start in BY_CLICKS, hearing=hearing)
 
 
 def _back(one: OperatorStart, T: Floats) -> bool:
@@ -173,7 +175,7 @@ def _believed(result: PairResult, best: OperatorStart, said: Heard, pair: Pair) 
     hearing = Hearing(accepted, p_grave, told)
     done = {"confirmed": True, "p_grave": p_grave, "hearing": hearing, "rivals": ()}
     if by_features and result.verdict == "plausible":
-        return replace(result, grown=result.start == "operator", **done)
+        return replace(result, grown=result.start in BY_CLICKS, **done)
     count = int(best.inliers.sum())
     reason = (
         f"{count} correspondences agree with it"
@@ -187,7 +189,7 @@ def _believed(result: PairResult, best: OperatorStart, said: Heard, pair: Pair) 
         verdict="plausible",
         reasons=(reason, *([told] if told else []), *result.reasons),
         overlap=pair.agreement(said.T_i_j).overlap,
-        start=result.start if by_features else "operator",
+        start=result.start if by_features else OPERATOR,
         grown=True,
         **done,
     )

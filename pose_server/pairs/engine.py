@@ -3,18 +3,25 @@
 import ctypes
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from pose_server.geometry.icp import Method
 from pose_server.geometry.motion import Mask
 from pose_server.pairs.align import align_from, align_pair, align_wide, is_settled
 from pose_server.pairs.clicked import with_clicks
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.moving import without_moving
 from pose_server.pairs.refining import Start
-from pose_server.pairs.starts import Clicks, operator_starts
+from pose_server.pairs.starts import (
+    Clicks,
+    OperatorStart,
+    by_clicks,
+    gravity_between,
+    operator_starts,
+)
 from pose_server.pairs.views import PreparedView, prepare_view
 from protocol.arrays import MAX_DISTANCE_M
 from protocol.codec import unpack
@@ -23,6 +30,7 @@ from protocol.messages import View, ViewName
 
 TRACK_POINTS = 700  # salient points used to follow a robot through its own views
 _CACHED_VIEWS = 32
+_FOUND_SIGMA = 0.02  # of a pose that features found, as a start; share of the depth
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 Purpose = Literal["clicks", "track", "pair"]
 
@@ -58,6 +66,7 @@ class Job:
         usual: what the usual salient points gave, where the wide ones are to be tried now.
         known: what features gave for these very views: they need not be asked again.
         urgent: whether an operator waits for it.
+        icp: how clouds are brought together.
     """
 
     purpose: Purpose
@@ -69,6 +78,7 @@ class Job:
     usual: PairResult | None = None
     known: PairResult | None = None
     urgent: bool = False
+    icp: Method = "gicp"
 
     @property
     def wide(self) -> bool:
@@ -120,18 +130,32 @@ def run_job(job: Job) -> PairResult:
     i, j = (without_moving(_view(encoded), encoded.mask) for encoded in (job.i, job.j))
     if job.purpose == "track":
         i, j = i.strongest(TRACK_POINTS), j.strongest(TRACK_POINTS)
-    starts = list(job.starts)
-    sets = [] if job.clicks is None else operator_starts(i, j, job.clicks, job.starts)
-    starts += [one.start for one in sets]
+    sets = _sets(job, i, j)
+    starts = [*job.starts, *(start for one in sets for start in one.starts)]
     if job.known is not None:
-        result = align_from(i, j, starts, job.known)
+        result = align_from(i, j, starts, job.known, job.icp)
     else:
-        result = job.usual or align_pair(i, j, starts, job.features)
+        result = job.usual or align_pair(i, j, starts, job.features, job.icp)
         if job.features and job.wide and not is_settled(result):
-            result = align_wide(*_both_wide(job), result, starts)
+            result = align_wide(*_both_wide(job), result, starts, job.icp)
     if job.clicks is not None:
         result = with_clicks(result, sets, job.clicks, i, j)
+        told = by_clicks(sets, job.clicks, result.T_i_j) if sets else None
+        result = replace(result, by_clicks=told)
     return _finite(result)
+
+
+def _sets(job: Job, i: PreparedView, j: PreparedView) -> list[OperatorStart]:
+    """The job's clicks as far as they agree; one or two take their rotation from what is known of
+    the views, by other robots or by features.
+    """
+    if job.clicks is None:
+        return []
+    found = job.known or job.usual
+    others = list(job.starts)
+    if found is not None and found.T_i_j is not None and found.verdict in ("verified", "plausible"):
+        others.append(Start("features", found.T_i_j, _FOUND_SIGMA))
+    return operator_starts(i, j, job.clicks, others, gravity_between(i, j))
 
 
 def _both_wide(job: Job) -> tuple[PreparedView, PreparedView]:

@@ -55,6 +55,21 @@ class Hearing:
 
 
 @dataclass(frozen=True, eq=False)
+class ByClicks:
+    """The pose that clicks give by themselves: the paper's H*, as T_i_j.
+
+    Attributes:
+        T_i_j: (4, 4) the rigid motion nearest to the model.
+        model: what they determine: translation, upright, rigid, affine, projective.
+        ids: of the correspondences that it grew from.
+    """
+
+    T_i_j: Floats
+    model: str
+    ids: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class Heard:
     """What the images say of a pose.
 

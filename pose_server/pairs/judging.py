@@ -16,8 +16,9 @@ from pose_server.geometry.se3 import inverse, position_covariance, rotation_angl
 from pose_server.geometry.structure import Structure
 from pose_server.pairs.evidence import NO_RIVAL, Evidence
 from pose_server.pairs.explained import count_places, explained
-from pose_server.pairs.hearing import Hearing
+from pose_server.pairs.hearing import ByClicks, Hearing
 from pose_server.pairs.pair import EXACT_SIGMAS, Pair
+from pose_server.pairs.registering import IcpReport
 from pose_server.pairs.rivals import left_over, one_step_on, rivals_of, unique_points
 from pose_server.pairs.trust import (
     ELSEWHERE_P_GRAVE,
@@ -52,10 +53,12 @@ class PairResult:
     agree with each other agree with this one; `grown` from them: they are in it. `p_grave` is the
     probability that the pose is gravely off, 1 where there is none; `rivals` are other (4, 4) poses
     that the images support as well. `mirrored`: the views fit only if one of them is mirrored.
-    `structure` is what of the world its matches rest on, in the frame of view i; `hearing` what
-    became of the clicks it was made with. `twofold`: it would be verified, but another pose looks
-    right as well, or all is right but for things that stand about in both views and are not found;
-    `singled_out`: others looked right, but saw less of what is there.
+    `structure` is what of
+    the world its matches rest on, in the frame of view i; `hearing` what became of the clicks it
+    was made with, `by_clicks` the pose that these give by themselves, `icp` what ICP did or would
+    have done. `twofold`: it would be verified, but another pose looks right as well, or all is
+    right but for things that stand about in both views and are not found; `singled_out`: others
+    looked right, but saw less of what is there.
     """
 
     T_i_j: Floats | None
@@ -83,6 +86,8 @@ class PairResult:
     singled_out: bool = False
     structure: Structure | None = None
     hearing: Hearing | None = None
+    by_clicks: ByClicks | None = None
+    icp: IcpReport | None = None
 
 
 def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None) -> PairResult:

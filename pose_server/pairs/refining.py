@@ -9,13 +9,14 @@ import numpy.typing as npt
 
 from pose_server.geometry import robust
 from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.icp import SurfaceFit, gicp
+from pose_server.geometry.icp import Method, gicp
 from pose_server.geometry.matching import NO_MATCHES, ratio_matches, union
 from pose_server.geometry.refine import NoiseScale, Refinement
 from pose_server.geometry.se3 import rotation_angle, transform, weighted_mean
 from pose_server.geometry.triangles import poses_by_triangles
 from pose_server.pairs.judging import COVARIANCE_INFLATION
 from pose_server.pairs.pair import Pair
+from pose_server.pairs.registering import IcpReport, registered
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -29,7 +30,6 @@ _ROUGH_RADIUS, _ROUGH_ITERATIONS = 0.08, 10  # of ICP from a coarse start; share
 _ROUGH_SIGMA = 0.01  # of what comes of it
 _SHAPE_SIGMA = 0.01  # of where a shape is, share of its depth
 _SURFACE_POSES = 2
-_FINE_RADIUS_PX = 30.0  # of ICP from a pose that matches agree on, at the median depth
 _LEAST_SIGMA = 1e-3  # of a surface, share of the depth: no camera is better
 _FAR = 0.04  # share of the depth, and radians: surfaces that lead so far away are others
 # The image is trusted first. Where depths are worse than stated, a fit that may widen the pixel
@@ -55,6 +55,7 @@ class Candidate:
     Attributes:
         information: (6, 6) of the matches that it was refined on, if it was.
         T_by_matches: the pose by these alone, where surfaces have moved it since.
+        icp: what ICP did, or would have done, where it was tried.
     """
 
     pair: Pair
@@ -62,6 +63,7 @@ class Candidate:
     T_i_j: Floats
     information: Floats | None = None
     T_by_matches: Floats | None = None
+    icp: IcpReport | None = None
 
     @cached_property
     def score(self) -> float:
@@ -199,26 +201,29 @@ def with_surfaces(pair: Pair, one: Candidate) -> Candidate:
     """
     if one.information is None or not (pair.i.dense and pair.j.dense):
         return one
-    fit = _fine_icp(pair, one.T_i_j)
+    found = registered(pair, one.T_i_j, "gicp")
+    if found is None or found.fit is None:
+        return one
+    fit = found.fit
     shift = float(np.linalg.norm(fit.T_i_j[:3, 3] - one.T_i_j[:3, 3])) / pair.depth_m
     turn_rad = rotation_angle(fit.T_i_j[:3, :3].T @ one.T_i_j[:3, :3])
     if not (max(shift, turn_rad) < _FAR and np.isfinite(fit.hessian).all()):
-        return one
+        return replace(one, icp=found.report)
     surfaces = fit.hessian / (max(pair.sigma, _LEAST_SIGMA) * pair.depth_m) ** 2
     matches = one.information / COVARIANCE_INFLATION
     T = weighted_mean(one.T_i_j, matches, fit.T_i_j, surfaces)
-    return replace(one, T_i_j=T, T_by_matches=one.T_i_j)
+    told = replace(found.report, kept=True)
+    return replace(one, T_i_j=T, T_by_matches=one.T_i_j, icp=told)
 
 
-def with_icp(pair: Pair, one: Candidate) -> Candidate:
-    """A candidate after ICP; itself if that scores worse."""
-    other = Candidate(pair, one.start, _fine_icp(pair, one.T_i_j).T_i_j)
-    return other if other.score > one.score else one
-
-
-def _fine_icp(pair: Pair, T: Floats) -> SurfaceFit:
-    radius_m = _FINE_RADIUS_PX * pair.depth_m / pair.i.observed.focal_px
-    return gicp(pair.i.measured.for_icp, pair.j.measured.for_icp, T, radius_m)
+def with_icp(pair: Pair, one: Candidate, method: Method) -> Candidate:
+    """A candidate after ICP; itself, and what became of it, if that scores worse."""
+    found = registered(pair, one.T_i_j, method)
+    if found is None:
+        return one
+    told = replace(found.report, kept=True)
+    other = Candidate(pair, one.start, found.T_i_j, one.information, icp=told)
+    return other if other.score > one.score else replace(one, icp=found.report)
 
 
 def _guided(

@@ -1,4 +1,9 @@
-"""The operator's start: a pose from the correspondences alone, with its uncertainty."""
+"""The operator's starts: poses from the correspondences alone, with their uncertainty.
+
+Direct Linear Transformation gives a first pose H* of the largest model that the points determine;
+refined with the points' covariances it is a second one. Both compete: depths that are worse than
+stated bend the one, a wide set of points the other.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,14 +22,18 @@ from pose_server.geometry.point_pairs import PointPairs
 from pose_server.geometry.refine import NoiseScale, Refinement, refine
 from pose_server.geometry.se3 import position_covariance
 from pose_server.geometry.spread import check_points, dimension
+from pose_server.pairs.hearing import ByClicks
 from pose_server.pairs.refining import Start
 from pose_server.pairs.views import PreparedView
 
 Floats = npt.NDArray[np.floating]
 
+OPERATOR, LINEAR = "operator", "dlt"  # kinds of starts
+BY_CLICKS = frozenset((OPERATOR, LINEAR))
 FULL_POSE = 3  # correspondences that determine a pose
 _MOST_STARTS = 5  # each costs a refinement, and somebody waits
 _TRANSLATION_SIGMA = 0.03  # of a start whose rotation comes from elsewhere, at least
+_UNTURNED_SIGMA = 0.1  # of one whose rotation nobody knows
 
 
 @dataclass(frozen=True)
@@ -44,10 +53,12 @@ class Clicks:
 
 @dataclass(frozen=True, eq=False)
 class OperatorStart:
-    """A start from clicks.
+    """Starts from clicks.
 
     Attributes:
-        start: the pose, and how far it may be off.
+        start: the refined pose, and how far it may be off.
+        linear: (4, 4) T_i_j by DLT, the rigid motion nearest to the model: the paper's H*,
+            inverted.
         covariance: (6, 6), only where the clicks determine a full pose.
         inliers: (N,) which clicks the pose grew from; the others contradict it.
         model: the largest model that the inliers determine, or `upright` by two and gravity.
@@ -57,12 +68,20 @@ class OperatorStart:
     """
 
     start: Start
+    linear: Floats
     covariance: Floats | None
     inliers: npt.NDArray[np.bool_]
     model: str
     pairs: PointPairs
     note: str = ""
     alone: bool = False
+
+    @property
+    def starts(self) -> tuple[Start, ...]:
+        """Both poses, one where they are the same."""
+        if self.linear is self.start.T_i_j:
+            return (self.start,)
+        return self.start, Start(LINEAR, self.linear, self.start.sigma)
 
     def suits(self, T_i_j: Floats) -> bool:
         """Whether a pose found otherwise explains all clicks that agree with each other."""
@@ -95,7 +114,7 @@ def starts_from_clicks(
 
     Three clicks that span a triangle give a full pose; so do two if gravity is known in both views.
     Fewer, or clicks on one line, give a translation only: the rotation comes from the best other
-    start.
+    start, else from gravity, or there is none, as in the paper.
 
     Raises:
         DegenerateGeometryError: they determine nothing, or are mirrored or in other units; the text
@@ -126,10 +145,17 @@ def _full_start(
     if covariance is None:  # it gave up on one that it needs
         T, covariance = agreed.T_a_b, agreed.covariance
     fit = dlt.fit(pairs.p_a[index], pairs.p_b[index], largest="projective")
-    start = Start("operator", T, _sigma(i, j, T, covariance))
+    start = Start(OPERATOR, T, _sigma(i, j, T, covariance))
     note = agreed.contradiction or fit.note
     return OperatorStart(
-        start, covariance, agreed.inliers, fit.model, pairs, note, not agreed.contradiction
+        start,
+        fit.T_a_b,
+        covariance,
+        agreed.inliers,
+        fit.model,
+        pairs,
+        note,
+        not agreed.contradiction,
     )
 
 
@@ -146,15 +172,46 @@ def _smaller_start(
         raise why
     everyone = np.ones(len(pairs), bool)
     if gravity is not None and len(pairs) >= 2:
-        T, covariance = pairs.refined(pose_by_gravity(pairs.p_a, pairs.p_b, gravity), gravity)
-        start = Start("operator", T, _sigma(i, j, T, covariance))
-        return OperatorStart(start, covariance, everyone, "upright", pairs, str(why))
-    if not others:
-        raise why
-    known = min(others, key=lambda start: start.sigma)
-    T = dlt.translation(pairs.p_a, pairs.p_b, known.T_i_j[:3, :3])
-    start = Start("operator", T, max(known.sigma, _TRANSLATION_SIGMA))
-    return OperatorStart(start, None, everyone, "translation", pairs, str(why))
+        linear = pose_by_gravity(pairs.p_a, pairs.p_b, gravity)
+        T, covariance = pairs.refined(linear, gravity)
+        start = Start(OPERATOR, T, _sigma(i, j, T, covariance))
+        return OperatorStart(start, linear, covariance, everyone, "upright", pairs, str(why))
+    known = min(others, key=lambda start: start.sigma, default=None)
+    if known is not None:
+        R, sigma = known.T_i_j[:3, :3], max(known.sigma, _TRANSLATION_SIGMA)
+    else:
+        R, sigma = np.eye(3) if gravity is None else gravity.level(), _UNTURNED_SIGMA
+    T = dlt.translation(pairs.p_a, pairs.p_b, R)
+    return OperatorStart(
+        Start(OPERATOR, T, sigma), T, None, everyone, "translation", pairs, str(why)
+    )
+
+
+def gravity_between(i: PreparedView, j: PreparedView) -> Gravity | None:
+    """What both views know of gravity; none where one does not."""
+    if i.up is None or j.up is None:
+        return None
+    ups = (up / np.linalg.norm(up) for up in (i.up, j.up))
+    return Gravity(*ups, sigma_rad=float(np.hypot(i.up_sigma_rad, j.up_sigma_rad)))
+
+
+def by_clicks(sets: Sequence[OperatorStart], clicks: Clicks, T_i_j: Floats | None) -> ByClicks:
+    """What is told of the clicks' own pose: of the set that fits the found pose best, if any does.
+
+    Args:
+        sets: that agree, not empty; the largest first.
+        clicks: all of them.
+        T_i_j: (4, 4) what the alignment ended with.
+    """
+
+    def agreeing(one: OperatorStart) -> int:
+        assert T_i_j is not None
+        return int((one.inliers & (one.pairs.distance2(T_i_j) < OUTLIER_CHI2)).sum())
+
+    one = sets[0] if T_i_j is None else max(sets, key=agreeing)
+    index = np.flatnonzero(one.inliers).tolist()
+    ids = tuple(clicks.ids[k][0] for k in index) if clicks.ids else tuple(index)
+    return ByClicks(one.linear, one.model, ids)
 
 
 def point_pairs(i: PreparedView, j: PreparedView, clicks: Clicks) -> PointPairs:

@@ -27,6 +27,7 @@ _SAMPLE_POINTS = 1_000
 _MATCHED_POINTS = 8_000  # salient points, at most: matching takes memory by their square
 _COARSER = 1.4
 _SHAPE_RESOLUTION = 0.025  # share of the depth
+UP_SIGMA_RAD = 0.02  # of gravity by an accelerometer at rest, where the robot states none
 _ICP_PIXELS = 18.0  # lateral resolution of ICP, in pixels at the median depth
 
 
@@ -73,6 +74,7 @@ class PreparedView:
         noise: the camera's stated noise.
         median_depth_m: of the cloud.
         up: (3,) unit vector against gravity in the camera frame, where the robot knows it.
+        up_sigma_rad: its sigma.
     """
 
     name: ViewName
@@ -83,6 +85,7 @@ class PreparedView:
     noise: PointNoise
     median_depth_m: float
     up: Floats | None = None
+    up_sigma_rad: float = UP_SIGMA_RAD
     memo: dict[str, Any] = field(init=False, default_factory=dict)
     """What was found out about the view alone, by who did."""
 
@@ -168,6 +171,7 @@ def prepare_view(view: View) -> PreparedView:
         noise=noise,
         median_depth_m=median,
         up=view.up_camera,
+        up_sigma_rad=view.up_sigma_rad or UP_SIGMA_RAD,
     )
 
 

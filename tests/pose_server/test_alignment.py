@@ -176,13 +176,15 @@ def test_three_clicks_give_a_start_that_alignment_confirms():
     assert (found.verdict, found.start) == ("verified", "operator")
 
 
-def test_one_click_needs_a_rotation_from_elsewhere():
+def test_one_click_takes_its_rotation_from_elsewhere():
     i, j = (prepare_view(v) for v in pair_of_views(np.random.default_rng(4), turned(10)))
     clicks = clicks_of(turned(10), FAR_APART[:1], i.observed.K, 0.1)
-    assert operator_starts(i, j, clicks, ()) == []
     known = Start("graph", turned(10), 0.02)
     (start,) = operator_starts(i, j, clicks, (known,))
     assert start.model == "translation" and start.covariance is None
+    assert np.allclose(start.linear[:3, :3], turned(10)[:3, :3])
+    (start,) = operator_starts(i, j, clicks, ())
+    assert start.start.sigma > known.sigma and np.array_equal(start.linear[:3, :3], np.eye(3))
 
 
 @pytest.mark.parametrize(("count", "locates"), [(70, False), (35, True)])

@@ -106,7 +106,7 @@ def test_wrong_clicks_that_fit_each_other_locate_nobody_and_right_ones_added_lat
     two = Two()
     for k in range(count):
         two.click(k, STEP)
-        two.work()
+    two.work()
     assert not two.located() and two.statuses() == ["outlier"] * count
     now = state(two.site)
     (why,) = (robot.why_not for robot in now.robots if robot.robot == "r2")

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pose_server.geometry import dlt
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.gravity import Gravity
 from pose_server.geometry.se3 import inverse, retract, rotation_angle, transform
@@ -67,20 +68,44 @@ def test_the_model_is_what_the_points_determine():
 def test_two_clicks_and_gravity_give_a_start():
     up_j = np.array([0.0, -1.0, 0.0])
     gravity = Gravity(T_TRUE[:3, :3] @ up_j, up_j)
-    with pytest.raises(DegenerateGeometryError, match="2 correspondences"):
-        start_from_clicks(I, J, clicked(POINTS[:2]), ())
     found = start_from_clicks(I, J, clicked(POINTS[:2]), (), gravity)
     assert found.model == "upright" and not found.alone
     assert np.allclose(found.start.T_i_j, T_TRUE, atol=1e-3)
 
 
-def test_clicks_on_a_line_take_the_rotation_from_elsewhere_or_give_nothing():
-    line = np.linspace(POINTS[0], POINTS[1], 4)
-    with pytest.raises(DegenerateGeometryError, match="one line"):
-        start_from_clicks(I, J, clicked(line), ())
-    found = start_from_clicks(I, J, clicked(line), [Start("graph", T_TRUE, 0.02)])
-    assert found.model == "translation" and "one line" in found.note
+@pytest.mark.parametrize("points", [POINTS[:1], POINTS[:2], np.linspace(POINTS[0], POINTS[1], 4)])
+def test_too_few_clicks_and_clicks_on_a_line_take_the_rotation_from_elsewhere(points):
+    found = start_from_clicks(I, J, clicked(points), [Start("graph", T_TRUE, 0.02)])
+    assert found.model == "translation" and found.covariance is None
     assert np.allclose(found.start.T_i_j, T_TRUE, atol=1e-6)
+
+
+@pytest.mark.parametrize("points", [POINTS[:1], POINTS[:2], np.linspace(POINTS[0], POINTS[1], 4)])
+def test_where_nothing_tells_the_rotation_they_shift_only_as_in_the_paper(points):
+    found = start_from_clicks(I, J, clicked(points), ())
+    assert found.model == "translation" and found.note
+    assert np.array_equal(found.linear[:3, :3], np.eye(3))
+    centre = transform(inverse(T_TRUE), points).mean(axis=0)
+    assert np.allclose(transform(found.linear, centre[None]), points.mean(axis=0))
+
+
+def test_one_click_stands_upright_where_gravity_is_known():
+    up_j = np.array([0.0, -1.0, 0.0])
+    gravity = Gravity(turned(8)[:3, :3] @ T_TRUE[:3, :3] @ up_j, up_j)
+    found = start_from_clicks(I, J, clicked(POINTS[:1]), (), gravity)
+    assert np.allclose(found.linear[:3, :3] @ up_j, gravity.up_a, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [3, 4, 5])
+def test_the_linear_start_and_the_refined_one_compete(count):
+    rng = np.random.default_rng(2)
+    noisy = clicked(POINTS[:count])
+    noisy = replace(noisy, z_i=noisy.z_i + rng.normal(0, 0.05, count))
+    (found,) = starts_from_clicks(I, J, noisy, ())
+    assert [start.kind for start in found.starts] == ["operator", "dlt"]
+    assert np.array_equal(found.starts[1].T_i_j, found.linear)
+    p_i, p_j = found.pairs.p_a, found.pairs.p_b
+    assert np.allclose(found.linear, dlt.fit(p_i, p_j, largest="projective").T_a_b)
 
 
 def test_millimetres_and_what_is_not_finite_are_named():

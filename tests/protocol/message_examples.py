@@ -116,6 +116,12 @@ ROBOT_STATE = m.RobotState(
 )
 ALARM = m.Alarm(robot="r1", kind="scale", text="r1's depths are 5 % too long")
 
+OPERATOR_FIT = m.OperatorFit(
+    T_j_i_operator=T, T_j_i_refine=np.eye(4), model="rigid", correspondences=(3, 4, 7)
+)
+ICP_FIT = m.IcpFit(
+    method="point_to_point", error_m2=0.4, rms_m=0.02, count=1000, ms=3.5, kept=False
+)
 EXAMPLES = {
     type(message): message
     for message in (
@@ -134,6 +140,8 @@ EXAMPLES = {
         m.Odometry(robot="r1", epoch=EPOCH, stamp_ns=1, T_odom_robot=T, covariance=COVARIANCE),
         m.PairError(other="r2", rmse_m=0.1, verdict="ambiguous"),
         POSE,
+        OPERATOR_FIT,
+        ICP_FIT,
         m.Alignment(
             view_i=V1,
             view_j=V2,
@@ -151,6 +159,8 @@ EXAMPLES = {
             timings_ms={"match": 3.5},
             p_grave=0.004,
             rivals=(T,),
+            operator=OPERATOR_FIT,
+            icp=ICP_FIT,
             server_epoch=EPOCH,
             n=1,
         ),

@@ -12,7 +12,7 @@ from tests.protocol.message_examples import DEPTH_M, EXAMPLES, SCATTERED_UVZ
 BARE_CELL = {"p_grave": None, "rivals": 0}
 BARE_POSE = EXAMPLES[m.RobotPose].model_dump() | {"why_not": ""}
 ADDED = {
-    "fleet.alignment.v1": {"p_grave": 1.0, "rivals": ()},
+    "fleet.alignment.v2": {"operator": None, "icp": None},
     "fleet.pose.v1": {"why_not": ""},
     "fleet.robot_state.v1": {"pose": BARE_POSE},
     "fleet.pair_cell.v1": BARE_CELL,
