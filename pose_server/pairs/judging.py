@@ -165,13 +165,14 @@ def contested(pair: Pair, result: PairResult) -> PairResult:
 
 
 def _but_for_holes(verdict: Verdict, e: Evidence) -> bool:
-    """Whether a pose would be verified if all that stands about were found: of two wings that are
-    alike but for what hangs on their walls one was taken for the other.
+    """Whether a pose would rather be right than wrong if all that stands about were found: of two
+    wings that are alike but for what hangs on their walls one was taken for the other. In real
+    places this was said of one pair for each thirty that were verified, and of no wrong one.
     """
     if verdict == "verified" or e.explained.holes < _TELLING_HOLES:
         return False
     filled = replace(e, explained=replace(e.explained, holes=0.0))
-    return judge(filled, p_grave(filled, MODEL))[0] == "verified"
+    return p_grave(filled, MODEL) < ELSEWHERE_P_GRAVE
 
 
 def _own_chance(pair: Pair, T: Floats) -> float:
