@@ -130,8 +130,8 @@ def faults(
     inject: Annotated[
         str,
         typer.Option(
-            help="Of none,skew,clock,baseline,person,frozen,still,kidnapped,carried,carried-one,"
-            "leave,old-epoch,clock-step; alone unless more is given."
+            help="Of none,skew,clock,baseline,mirrored,person,frozen,still,kidnapped,carried,"
+            "carried-one,leave,old-epoch,clock-step; alone unless more is given."
         ),
     ] = "",
     seconds: Annotated[float, typer.Option(min=10, help="With each of these.")] = 50.0,

@@ -1,4 +1,5 @@
-"""A robot of the synthetic world with something wrong: its calibration, its clock, or its trigger.
+"""A robot of the synthetic world with something wrong: its calibration, its clock, its trigger, or
+the driver of its camera.
 
 The robot's own program is as it always is; what it is given is wrong.
 """
@@ -10,12 +11,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import cv2
+import numpy as np
 
 from protocol.errors import FleetPoseError
 from protocol.logs import log_to_stderr
 from protocol.transport import SessionSettings
 from robot_agent.agent import paced
-from robot_agent.cameras.base import Frame
+from robot_agent.cameras.base import DepthImage, DisparityImage, Frame
 from robot_agent.cameras.synthetic import SyntheticCamera, WorldLink
 from robot_agent.client import FleetRobot
 from robot_agent.sender import SenderSettings
@@ -41,7 +43,7 @@ class FaultyCamera:
 
 
 def open_faulty(fault: str, source: str) -> FaultyCamera:
-    """Opens a camera of the synthetic world with a fault: `skew`, `clock` or `baseline`.
+    """Opens a camera of the synthetic world with a fault: `skew`, `clock`, `baseline`, `mirrored`.
 
     Raises:
         FleetPoseError: there is no such fault, or no such world.
@@ -58,7 +60,10 @@ def open_faulty(fault: str, source: str) -> FaultyCamera:
             link.calibration["t"] = [BASELINE_RATIO * x for x in link.calibration["t"]]
             camera = SyntheticCamera(link)
             return FaultyCamera((camera,), camera.frames())
-    raise FleetPoseError(f"no fault '{fault}': there are skew, clock and baseline")
+        case "mirrored":
+            camera = SyntheticCamera(link)
+            return FaultyCamera((camera,), flipped(camera.frames()))
+    raise FleetPoseError(f"no fault '{fault}': there are skew, clock, baseline and mirrored")
 
 
 def depths_of_before(frames: Iterator[Frame], before: Iterator[Frame]) -> Iterator[Frame]:
@@ -71,6 +76,24 @@ def stamps_ahead(frames: Iterator[Frame]) -> Iterator[Frame]:
     """Frames by a clock that is 3 s ahead."""
     for frame in frames:
         yield replace(frame, stamp_ns=frame.stamp_ns + round(1e9 * CLOCK_AHEAD_S))
+
+
+def flipped(frames: Iterator[Frame]) -> Iterator[Frame]:
+    """Frames whose images and depths are the wrong way round, with intrinsics that know nothing of
+    it: the default of a common driver.
+    """
+    for frame in frames:
+        ranges = frame.ranges
+        match ranges:
+            case DisparityImage():
+                turned = np.ascontiguousarray(ranges.disparity_px[:, ::-1])
+                ranges = replace(ranges, disparity_px=turned)
+            case DepthImage():
+                turned = np.ascontiguousarray(ranges.depth_m[:, ::-1])
+                ranges = replace(ranges, depth_m=turned)
+            case _:
+                raise FleetPoseError("only images of depth or disparity can be flipped")
+        yield replace(frame, image=np.ascontiguousarray(frame.image[:, ::-1]), ranges=ranges)
 
 
 def main() -> None:

@@ -83,6 +83,7 @@ FAULTS = {
     "skew": Fault(("skew",), world=_TURNING),
     "clock": Fault(("clock",)),
     "baseline": Fault(("scale",)),
+    "mirrored": Fault(("mirrored",)),
     "person": Fault(event=f"{MOTION}{FAULTY}'s view", world=("--person",), in_robot=False),
     "frozen": Fault(("frozen", "still"), trouble=Frozen),
     "still": Fault(("still",), trouble=Still),

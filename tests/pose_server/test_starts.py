@@ -9,6 +9,7 @@ from pose_server.geometry import dlt
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.gravity import Gravity
 from pose_server.geometry.se3 import inverse, retract, rotation_angle, transform
+from pose_server.pairs.align import align_pair
 from pose_server.pairs.clicked import with_clicks
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.refining import Start
@@ -159,3 +160,18 @@ def test_clicks_confirm_a_plausible_pose_that_features_found_first():
     assert found.T_i_j is T_TRUE and found.confirmed and found.start == "features"
     few = told(near, clicked(POINTS[:2]))
     assert few.T_i_j is T_TRUE and not few.confirmed
+
+
+@pytest.mark.parametrize("seed", [3, 9, 53])
+def test_the_linear_start_wins_where_depths_are_worse_than_stated(seed):
+    """Half of the depths are stated a hundred times too good: the refined start follows them."""
+    rng = np.random.default_rng(seed)
+    clicks = clicked(POINTS)
+    z = [depths * (1 + rng.normal(0, 0.04, 5)) for depths in (clicks.z_i, clicks.z_j)]
+    sigma = [np.where(rng.random(5) < 0.5, 0.02, 2.0) for _ in range(2)]
+    clicks = replace(clicks, z_i=z[0], z_j=z[1], sigma_i=sigma[0], sigma_j=sigma[1])
+    found = start_from_clicks(I, J, clicks, ())
+    both = align_pair(I, J, found.starts, features=False)
+    alone = align_pair(I, J, [found.start], features=False)
+    assert (both.start, both.verdict, alone.verdict) == ("dlt", "verified", "rejected")
+    assert np.linalg.norm(both.T_i_j[:3, 3] - T_TRUE[:3, 3]) < 0.05
