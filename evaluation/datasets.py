@@ -93,7 +93,8 @@ def _tracks(path: Path) -> tuple[npt.NDArray[np.int64], Floats] | None:
 
 
 def open_recording(directory: Path, clouds: CloudKind | None = None) -> Recording:
-    """Opens a posed-views folder (`cameras.json`) or an RGB-D folder (`camera-intrinsics.txt`).
+    """Opens a posed-views folder (`cameras.json`), an RGB-D folder (`camera-intrinsics.txt`) or a
+    reconstruction by Bundler (`bundle.out`).
 
     Args:
         directory: the folder.
@@ -108,9 +109,15 @@ def open_recording(directory: Path, clouds: CloudKind | None = None) -> Recordin
         if clouds is not None:
             raise DataFolderError(f"{directory} is an RGB-D folder: leave --clouds out")
         return _open_rgbd(directory)
+    from evaluation.reconstructed import as_posed_views, is_reconstruction
+
+    if is_reconstruction(directory):
+        if clouds not in (None, "sparse"):
+            raise DataFolderError(f"{directory} is a reconstruction: its clouds are sparse")
+        return _open_posed_views(as_posed_views(directory), "sparse")
     raise DataFolderError(
-        f"{directory} is no recording: it holds neither cameras.json (posed views) nor "
-        "camera-intrinsics.txt (RGB-D frames)"
+        f"{directory} is no recording: it holds neither cameras.json (posed views), nor "
+        "camera-intrinsics.txt (RGB-D frames), nor bundle.out (a reconstruction by Bundler)"
     )
 
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from deploy.local_fleet import LocalFleet, wait_running
 from evaluation import load
@@ -92,6 +92,7 @@ class FleetOptions:
     unique: int = 0
     views: tuple[int, ...] = ()  # one robot stands at each of these; `robots` is their number then
     mistakes: float = 0.0  # share of the questions that the operator answers wrongly
+    recipe: Literal["full", "paper"] = "full"
 
 
 @dataclass
@@ -120,7 +121,8 @@ def run(options: FleetOptions, out: Path) -> dict[str, Any]:
         skip = named_skip_pairs(options.skip_pairs, plan.names, Path(scratch))
         with LocalFleet(out / "logs") as fleet:
             state = Path(scratch) / "state"
-            start(fleet, plan, options.workers, state, skip, options.cluster)
+            options_of_server = ("--recipe", options.recipe)
+            start(fleet, plan, options.workers, state, skip, options.cluster, options_of_server)
             link = open_link(fleet)
             observer = Observer(link, Keys(fleet.site))
             operator = None
@@ -287,9 +289,10 @@ def start(
     state: Path,
     skip_pairs: Path | None = None,
     cluster: str | None = None,
+    of_server: Sequence[str] = (),
 ) -> None:
-    """Starts router, world, server and robots."""
-    start_servers(fleet, plan, workers, state, skip_pairs, cluster)
+    """Starts router, world, server, with options of its own, and robots."""
+    start_servers(fleet, plan, workers, state, skip_pairs, cluster, of_server)
     if plan.replayed:
         replayed = load.arguments(plan, REPLAYED_RATE_HZ, plan.frames)
         fleet.start(LOAD, "evaluation", "load", *fleet.connection, *replayed)
@@ -311,6 +314,7 @@ def start_servers(
     state: Path,
     skip_pairs: Path | None = None,
     cluster: str | None = None,
+    of_server: Sequence[str] = (),
 ) -> None:
     """Starts router, world and server."""
     fleet.start_router()
@@ -318,7 +322,7 @@ def start_servers(
         fleet.start("world", "evaluation", *plan.world)
     skip = () if skip_pairs is None else ("--skip-pairs", str(skip_pairs))
     elsewhere = () if cluster is None else ("--cluster", cluster)
-    fleet.start_server("--workers", str(workers), *elsewhere, *skip, state=state)
+    fleet.start_server("--workers", str(workers), *elsewhere, *skip, *of_server, state=state)
     if isinstance(plan.truth, WorldTruth):
         _wait_for_world(fleet, plan.truth)
 

@@ -1,7 +1,7 @@
 """Commands that run live processes."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -46,6 +46,10 @@ def fleet(
     unique: Unique = 0,
     seed: Annotated[int, typer.Option(help="Of the synthetic world and the operator.")] = 0,
     mistakes: Mistakes = 0.0,
+    recipe: Annotated[
+        Literal["full", "paper"],
+        typer.Option(help="Of the server; paper: the method as published, which judges nothing."),
+    ] = "full",
 ) -> None:
     """Run a live fleet on a recording or in the synthetic world and score its poses.
 
@@ -81,6 +85,7 @@ def fleet(
         world=world.value if world else None,
         unique=unique,
         mistakes=mistakes,
+        recipe=recipe,
     )
     run(options, out)
 

@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -38,6 +38,14 @@ def run(
         Path | None, typer.Option(help="Lines 'r1 r2': pairs left to the operator.")
     ] = None,
     anchor: Annotated[str | None, typer.Option(help="Robot at the fleet's origin.")] = None,
+    recipe: Annotated[
+        Literal["full", "paper"] | None,
+        typer.Option(help="How pairs are aligned: full, or paper (the method as published)."),
+    ] = None,
+    icp: Annotated[
+        Literal["gicp", "point_to_point", "point_to_plane", "off"] | None,
+        typer.Option(help="ICP of their clouds; gicp is from point to point where sparse."),
+    ] = None,
     metrics: Annotated[
         str | None, typer.Option(help="Serve the status to Prometheus at HOST:PORT.")
     ] = None,

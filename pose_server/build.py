@@ -9,6 +9,8 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 from pose_server.correspondences.journal import Journal  # noqa: E402
+from pose_server.geometry.errors import MissingLibraryError  # noqa: E402
+from pose_server.geometry.icp import open3d  # noqa: E402
 from pose_server.service import Service  # noqa: E402
 from pose_server.session.keeper import stored_graph  # noqa: E402
 from pose_server.session.restoring import folder_files, restored_site  # noqa: E402
@@ -25,9 +27,15 @@ def build(settings: ServerSettings) -> Service:
     """Opens the journal, then the session; what was journalled is there again.
 
     Raises:
-        FleetPoseError: the journal is in use, the router is not there, or a file is malformed.
+        FleetPoseError: the journal is in use, the router is not there, a file is malformed, or a
+            library is missing.
     """
     log_to_stderr()
+    if settings.icp.startswith("point_to"):
+        try:
+            open3d()
+        except MissingLibraryError as error:
+            raise FleetPoseError(f"--icp {settings.icp}: {error}") from error
     skip = frozenset() if settings.skip_pairs is None else read_pairs(settings.skip_pairs)
     journal_file, graph_file = folder_files(settings.state_dir)
     journal = Journal(journal_file)
@@ -35,6 +43,7 @@ def build(settings: ServerSettings) -> Service:
         journal, stored_graph(graph_file), skip, settings.anchor, settings.located_sigma
     )
     site.located_grave = settings.located_grave
+    site.recipe, site.icp = settings.recipe, settings.icp
     endpoints = SessionSettings(settings.connect, settings.listen, settings.config)
     return Service(site, journal, Link(open_session(endpoints)), settings)
 

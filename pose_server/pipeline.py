@@ -127,14 +127,15 @@ def urgent_job(site: Site) -> Job | None:
     for these.
     """
     job = _click_job(site)
-    return None if job is None else replace(job, urgent=True)
+    return None if job is None else replace(_by_recipe(site, job), urgent=True)
 
 
 def next_job(site: Site, now_s: float) -> Job | None:
     """What to align next: views that an operator looks at, then what robots wait for, each kind in
     its turn. Where they wait for nothing, clicks: after a restart all pairs ever clicked are due.
     """
-    return back_job(site) or _robots_job(site, now_s) or _click_job(site)
+    job = back_job(site) or _robots_job(site, now_s) or _click_job(site)
+    return None if job is None else _by_recipe(site, job)
 
 
 def take_result(site: Site, done: Done, now_s: float) -> None:
@@ -174,6 +175,10 @@ def solve(site: Site, now_s: float) -> None:
     choose_anchor(site)
     agenda.appraise(site, now_s)
     note_solved(site)
+
+
+def _by_recipe(site: Site, job: Job) -> Job:
+    return replace(job, recipe=site.recipe, icp=site.icp)
 
 
 def judge_correspondences(site: Site) -> list[RobotPair]:

@@ -6,6 +6,9 @@ from pathlib import Path
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from pose_server.geometry.icp import Method
+from pose_server.pairs.recipes import RecipeName
+
 
 class ServerSettings(BaseSettings):
     """How a pose server runs. Every default works."""
@@ -28,6 +31,14 @@ class ServerSettings(BaseSettings):
     )
     skip_pairs: Path | None = Field(
         None, description="file with lines 'r1 r2': pairs that only the operator may start"
+    )
+    recipe: RecipeName = Field(
+        "full", description="how pairs are aligned: full, or paper (the method as published)"
+    )
+    icp: Method = Field(
+        "gicp",
+        description="how clouds are brought together: gicp (from point to point where they are "
+        "sparse), point_to_point or point_to_plane by Open3D, off",
     )
     state_hz: float = Field(4.0, gt=0, le=20, description="rate of the fleet's state, at most")
     metrics: str | None = Field(

@@ -16,12 +16,14 @@ from pose_server.correspondences.book import Book
 from pose_server.doubts import Doubts
 from pose_server.fleet.types import ClickFactor, Edge, EdgeKey, FleetSolution, NodePose
 from pose_server.frames import upright
+from pose_server.geometry.icp import Method
 from pose_server.geometry.se3 import compose_covariance, inverse
 from pose_server.lifting import Lifter
 from pose_server.odometry import Odometers
 from pose_server.pairs.agenda import Agenda
 from pose_server.pairs.engine import EncodedView
 from pose_server.pairs.judging import PairResult
+from pose_server.pairs.recipes import RecipeName
 from pose_server.pairs.schedule import Turns
 from pose_server.pairs.tracking import Attached, Track
 from pose_server.views import KeptView, ViewStore, same_camera
@@ -148,6 +150,7 @@ class Site:
     Attributes:
         located_sigma: largest position sigma of a located robot, share of the depth.
         located_grave: largest probability that a located robot is gravely off.
+        recipe, icp: how pairs are aligned, and their clouds brought together.
         pins: by operator and session.
         agenda: which pairs wait to be aligned.
         kinds: of work of which each has its share.
@@ -175,6 +178,8 @@ class Site:
     skip: frozenset[RobotPair] = frozenset()
     located_sigma: float = 0.05
     located_grave: float = 0.05
+    recipe: RecipeName = "full"
+    icp: Method = "gicp"
     anchor: str | None = None
     views: ViewStore = field(default_factory=ViewStore)
     robots: dict[str, Robot] = field(default_factory=dict)

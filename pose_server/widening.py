@@ -64,7 +64,8 @@ def _is_open(done: Done) -> bool:
     """Whether a result of two robots leaves something to wide sets."""
     job = done.job
     tried = job.usual is not None or job.wide
-    if tried or not job.features or job.i.name.robot == job.j.name.robot:
+    own = job.i.name.robot == job.j.name.robot
+    if tried or own or not job.features or job.recipe != "full":
         return False
     return done.result is not None and not is_settled(done.result)
 

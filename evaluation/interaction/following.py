@@ -97,10 +97,13 @@ def follow(run: Run) -> list[Step]:
 
 def _by_paper(policy: Policy, run: Run, k: int, start: Floats | None) -> tuple[Floats | None, Step]:
     """The paper's ICP from a start or from the identity, and the pose to carry on."""
-    from evaluation.interaction import paper
+    from pose_server.pairs.paper import by_icp
 
     (i, _), (j, _) = prepared(run.a.wires[k]), prepared(run.b.wires[k])
-    T, icp_ms = paper.refined(i, j, np.eye(4) if start is None else start)
+    from_there = np.eye(4) if start is None else start
+    found = by_icp(i, j, from_there)
+    T = np.asarray(from_there if found is None else found.T_i_j, np.float64)
+    icp_ms = 0.0 if found is None else found.report.ms
     T_true = _true(run, k)
     errors = position_error_m(T_true, T), rotation_error_deg(T_true, T)
     step = Step(policy, run.number, k, "", "alignment", *errors, icp_ms, icp_ms)

@@ -105,9 +105,9 @@ def write_results(
         "rings": cells,
     }
     if recipe == "paper":
-        from evaluation.interaction.paper import icp_engine
+        from pose_server.geometry.icp import has_open3d
 
-        summary["icp"] = icp_engine()[0]
+        summary["icp"] = "open3d" if has_open3d() else "small_gicp"
     if wrong:
         summary["wrong_clicks"] = {
             "alignments": len(wrong),

@@ -3,7 +3,7 @@ method) aligns.
 """
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -118,13 +118,17 @@ def _aligned(task: Task, at_i: Lifted, at_j: Lifted) -> tuple[Answer, float]:
 
 def by_paper(wire_i: Path, wire_j: Path, at_i: Lifted, at_j: Lifted) -> tuple[Answer, float]:
     """The paper's answer, and the milliseconds of its ICP."""
-    from evaluation.interaction import paper
+    from pose_server.pairs.paper import by_icp, linear_start
 
     _prepare_paper(wire_i, wire_j)
     (i, _), (j, _) = prepared(wire_i), prepared(wire_j)
-    found = paper.align(i, j, at_i.p, at_j.p)
-    answer = Answer(found.T_i_j, None, "", (), found.start, 0, found.align_ms)
-    return answer, found.icp_ms
+    began = time.perf_counter()
+    start = linear_start(at_i.p, at_j.p)
+    found = by_icp(i, j, start.T_i_j)
+    align_ms = 1e3 * (time.perf_counter() - began)
+    T = np.asarray(start.T_i_j if found is None else found.T_i_j, np.float64)
+    icp_ms = 0.0 if found is None else found.report.ms
+    return Answer(T, None, "", (), start.model, 0, align_ms), icp_ms
 
 
 def by_server(wire_i: Path, wire_j: Path, at_i: Lifted, at_j: Lifted) -> tuple[Answer, float]:
@@ -162,20 +166,24 @@ def timed_icp() -> Iterator[Spent]:
     """
     from pose_server.pairs import refining
 
-    spent, icp = Spent(), refining.gicp
+    spent = Spent()
 
-    def timed(*args: Any, **options: Any) -> Any:
-        began = time.perf_counter()
-        try:
-            return icp(*args, **options)
-        finally:
-            spent.ms += 1e3 * (time.perf_counter() - began)
+    def timed(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any, **options: Any) -> Any:
+            began = time.perf_counter()
+            try:
+                return function(*args, **options)
+            finally:
+                spent.ms += 1e3 * (time.perf_counter() - began)
 
-    refining.gicp = timed
+        return call
+
+    rough, fine = refining.gicp, refining.registered
+    refining.gicp, refining.registered = timed(rough), timed(fine)
     try:
         yield spent
     finally:
-        refining.gicp = icp
+        refining.gicp, refining.registered = rough, fine
 
 
 def with_wide(view: "EncodedView", wire: Path) -> "EncodedView":
@@ -220,9 +228,9 @@ def _prepare(wire_i: Path, wire_j: Path) -> None:
 @lru_cache(maxsize=8)
 def _prepare_paper(wire_i: Path, wire_j: Path) -> None:
     """The same for the paper's method, so that both are timed on a pair that they have seen."""
-    from evaluation.interaction import paper
+    from pose_server.pairs.paper import by_icp
 
-    paper.refined(prepared(wire_i)[0], prepared(wire_j)[0], np.eye(4))
+    by_icp(prepared(wire_i)[0], prepared(wire_j)[0], np.eye(4))
 
 
 @lru_cache(maxsize=64)

@@ -148,6 +148,15 @@ def by_open3d(
     return np.array(found.transformation, np.float64)
 
 
+def has_open3d() -> bool:
+    """Whether it can be loaded."""
+    try:
+        open3d()
+    except MissingLibraryError:
+        return False
+    return True
+
+
 def open3d():  # noqa: ANN201
     """The library, which needs others of the system.
 

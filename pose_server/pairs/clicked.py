@@ -26,6 +26,7 @@ from pose_server.pairs.starts import (
     OPERATOR,
     Clicks,
     OperatorStart,
+    by_clicks,
     operator_starts,
     starts_from_clicks,
 )
@@ -59,6 +60,17 @@ def with_clicks(
         clicks: all of them.
         i, j: the views.
     """
+    heard = _with_clicks(result, sets, clicks, i, j)
+    return replace(heard, by_clicks=by_clicks(sets, clicks, heard.T_i_j) if sets else None)
+
+
+def _with_clicks(
+    result: PairResult,
+    sets: Sequence[OperatorStart],
+    clicks: Clicks,
+    i: PreparedView,
+    j: PreparedView,
+) -> PairResult:
     full = [one for one in sets if one.covariance is not None and one.alone]
     if not full:
         return _undetermined(result, clicks, i, j)

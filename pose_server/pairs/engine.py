@@ -3,22 +3,20 @@
 import ctypes
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from pose_server.geometry.icp import Method
 from pose_server.geometry.motion import Mask
-from pose_server.pairs.align import align_from, align_pair, align_wide, is_settled
-from pose_server.pairs.clicked import with_clicks
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.moving import without_moving
+from pose_server.pairs.recipes import RECIPES, RecipeName
 from pose_server.pairs.refining import Start
 from pose_server.pairs.starts import (
     Clicks,
     OperatorStart,
-    by_clicks,
     gravity_between,
     operator_starts,
 )
@@ -30,6 +28,7 @@ from protocol.messages import View, ViewName
 
 TRACK_POINTS = 700  # salient points used to follow a robot through its own views
 _CACHED_VIEWS = 32
+_FOUND = ("verified", "plausible")
 _FOUND_SIGMA = 0.02  # of a pose that features found, as a start; share of the depth
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 Purpose = Literal["clicks", "track", "pair"]
@@ -66,7 +65,8 @@ class Job:
         usual: what the usual salient points gave, where the wide ones are to be tried now.
         known: what features gave for these very views: they need not be asked again.
         urgent: whether an operator waits for it.
-        icp: how clouds are brought together.
+        recipe: how pairs are aligned.
+        icp: how its clouds are brought together.
     """
 
     purpose: Purpose
@@ -78,7 +78,19 @@ class Job:
     usual: PairResult | None = None
     known: PairResult | None = None
     urgent: bool = False
+    recipe: RecipeName = "full"
     icp: Method = "gicp"
+
+    def click_sets(self, i: PreparedView, j: PreparedView) -> list[OperatorStart]:
+        """The clicks as far as they agree; one or two take their rotation from what is known of the
+        views, by other robots or by features.
+        """
+        if self.clicks is None:
+            return []
+        found, others = self.known or self.usual, list(self.starts)
+        if found is not None and found.T_i_j is not None and found.verdict in _FOUND:
+            others.append(Start("features", found.T_i_j, _FOUND_SIGMA))
+        return operator_starts(i, j, self.clicks, others, gravity_between(i, j))
 
     @property
     def wide(self) -> bool:
@@ -130,32 +142,9 @@ def run_job(job: Job) -> PairResult:
     i, j = (without_moving(_view(encoded), encoded.mask) for encoded in (job.i, job.j))
     if job.purpose == "track":
         i, j = i.strongest(TRACK_POINTS), j.strongest(TRACK_POINTS)
-    sets = _sets(job, i, j)
-    starts = [*job.starts, *(start for one in sets for start in one.starts)]
-    if job.known is not None:
-        result = align_from(i, j, starts, job.known, job.icp)
-    else:
-        result = job.usual or align_pair(i, j, starts, job.features, job.icp)
-        if job.features and job.wide and not is_settled(result):
-            result = align_wide(*_both_wide(job), result, starts, job.icp)
-    if job.clicks is not None:
-        result = with_clicks(result, sets, job.clicks, i, j)
-        told = by_clicks(sets, job.clicks, result.T_i_j) if sets else None
-        result = replace(result, by_clicks=told)
-    return _finite(result)
-
-
-def _sets(job: Job, i: PreparedView, j: PreparedView) -> list[OperatorStart]:
-    """The job's clicks as far as they agree; one or two take their rotation from what is known of
-    the views, by other robots or by features.
-    """
-    if job.clicks is None:
-        return []
-    found = job.known or job.usual
-    others = list(job.starts)
-    if found is not None and found.T_i_j is not None and found.verdict in ("verified", "plausible"):
-        others.append(Start("features", found.T_i_j, _FOUND_SIGMA))
-    return operator_starts(i, j, job.clicks, others, gravity_between(i, j))
+    # a robot follows itself by features whatever its pairs are aligned by
+    recipe = RECIPES["full" if job.purpose == "track" else job.recipe]
+    return _finite(recipe.align(job, i, j, lambda: _both_wide(job)))
 
 
 def _both_wide(job: Job) -> tuple[PreparedView, PreparedView]:

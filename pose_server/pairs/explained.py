@@ -29,6 +29,9 @@ _EASY_PARALLAX_RAD, _EASY_SCALE = np.radians(40.0), np.log(1.6)
 _CHANCE, _MOST_LIKELY = 1e-3, 0.95  # that none of the points around is found; that one is
 _LEAST_AROUND, _MOST_AROUND = 20, 60  # points
 _ASKED_POINTS, _LEAST_TOLD = 300, 10  # of a view, enough to tell a share
+# Descriptors hardly stand a tilt of more than three; by so many points around it is measured.
+_TILT, _TILTED_TOGETHER = np.log(3.0), 9
+_LEAST_SPREAD_PX2, _LEAST_STRETCH = 1e-3, 1e-6
 _CELL_PX = 4.0  # copies of one spot in several tilted images are one place
 
 
@@ -67,11 +70,13 @@ class Visible:
     Attributes:
         mask: (N,) of all salient points.
         parallax_rad, scale: (M,) of those, see `Explained`.
+        uv: (M, 2) pixels at which the other one should see them.
     """
 
     mask: Bools
     parallax_rad: Floats
     scale: Floats
+    uv: Floats
 
     @property
     def easily(self) -> Bools:
@@ -124,15 +129,16 @@ def visible_in(
     mask = np.zeros(len(source.observed.uv), bool)
     mask[predicted.index[seen]] = True
     here = source.observed.points[predicted.index[seen]]
-    return Visible(mask, *seen_from_both(here, T_target_source))
+    return Visible(mask, *seen_from_both(here, T_target_source), predicted.uv[seen])
 
 
 def holes(uv: Floats, visible: Visible, found: Indices) -> float:
     """Share of the visible points of a view around which none is found, though that is no chance.
 
-    How likely a point is found is told by its angle and distance to both cameras and by the share
-    of all that are. Around it so many of the nearest ones are looked at that one of a thousand
-    times none would be found; points around which too little may be expected do not count.
+    How likely a point is found is told by its angle and distance to both cameras, by how much its
+    surroundings are tilted from one to the other, and by the share of all that are. Around it so
+    many of the nearest ones are looked at that one of a thousand times none would be found; points
+    around which too little may be expected do not count.
 
     Args:
         uv: (N, 2) pixels of all salient points of the view.
@@ -145,16 +151,31 @@ def holes(uv: Floats, visible: Visible, found: Indices) -> float:
     again = np.zeros(len(visible.mask), bool)
     again[found] = True
     again = again[visible.mask]
-    likely = np.exp(-((visible.parallax_rad / PARALLAX_RAD) ** 2) - visible.scale**2)
+    tree = cKDTree(uv)
+    tilt = _log_tilt(uv, visible.uv, tree.query(uv, k=_TILTED_TOGETHER)[1]) / _TILT
+    likely = np.exp(-((visible.parallax_rad / PARALLAX_RAD) ** 2) - visible.scale**2 - tilt**2)
     likely = np.clip(likely * again.sum() / max(likely.sum(), 1e-9), 0.0, _MOST_LIKELY)
     some = slice(None, None, 1 + len(uv) // _ASKED_POINTS)
-    _, nearest = cKDTree(uv).query(uv[some], k=min(_MOST_AROUND, len(uv)))
+    _, nearest = tree.query(uv[some], k=min(_MOST_AROUND, len(uv)))
     no_chance = np.cumsum(np.log1p(-likely)[nearest], axis=1) < np.log(_CHANCE)
     told = no_chance[:, -1]
     if told.sum() < _LEAST_TOLD:
         return 0.0
     none = np.cumsum(again[nearest], axis=1)[np.arange(len(told)), no_chance.argmax(axis=1)] == 0
     return float((told & none).sum() / told.sum())
+
+
+def _log_tilt(here: Floats, there: Floats, around: Indices) -> Floats:
+    """(M,) log of how much more the surroundings of points are stretched one way than across it
+    from one image to the other, their transition tilt (Morel and Yu 2009): by the affine map of
+    pixels (M, 2) around each, given by number (M, K).
+    """
+    a, b = (uv[around] - uv[around].mean(axis=1, keepdims=True) for uv in (here, there))
+    spread = np.einsum("nki,nkj->nij", a, a) + _LEAST_SPREAD_PX2 * np.eye(2)
+    A = np.einsum("nki,nkj->nij", b, a) @ np.linalg.inv(spread)
+    half = 0.5 * np.einsum("nij,nij->n", A, A)  # of the sum of the squared stretches
+    apart = np.sqrt(np.maximum(half**2 - np.linalg.det(A) ** 2, 0.0))
+    return 0.5 * np.log((half + apart) / np.maximum(half - apart, _LEAST_STRETCH))
 
 
 def empty_parts(view: Observed, uv: Floats, again: Bools, rate: float | None = None) -> int:

@@ -1,5 +1,7 @@
 """Two views side by side: matches between them, and how well a pose explains both."""
 
+from functools import cached_property
+
 import numpy as np
 import numpy.typing as npt
 
@@ -35,7 +37,6 @@ class Pair:
     Attributes:
         depth_m: median depth of both.
         sigma: relative sigma of the distance of two matching points along the ray.
-        ratio: (M, 2) matches by descriptor alone, of points with depth, the most similar first.
         ratio_limit: largest distance ratio of their nearest and second nearest.
     """
 
@@ -43,11 +44,17 @@ class Pair:
         self.i, self.j, self.ratio_limit = i, j, ratio
         self.depth_m = 0.5 * (i.median_depth_m + j.median_depth_m)
         self.sigma = float(np.hypot(i.surface.depth_sigma, j.surface.depth_sigma))
-        lifted_i, lifted_j = i.observed.lifted, j.observed.lifted
-        found, cosines = ratio_matches(i.descriptors[lifted_i], j.descriptors[lifted_j], ratio)
-        found = found[np.argsort(-cosines, kind="stable")]
-        self.ratio = np.column_stack((lifted_i[found[:, 0]], lifted_j[found[:, 1]]))
         self._guided: dict[tuple[bytes, float, bool], Indices] = {}
+
+    @cached_property
+    def ratio(self) -> Indices:
+        """(M, 2) matches by descriptor alone, of points with depth, the most similar first."""
+        i, j = self.i, self.j
+        lifted_i, lifted_j = i.observed.lifted, j.observed.lifted
+        looks_i, looks_j = i.descriptors[lifted_i], j.descriptors[lifted_j]
+        found, cosines = ratio_matches(looks_i, looks_j, self.ratio_limit)
+        found = found[np.argsort(-cosines, kind="stable")]
+        return np.column_stack((lifted_i[found[:, 0]], lifted_j[found[:, 1]]))
 
     def points(self, matches: Indices) -> tuple[Floats, Floats]:
         return self.i.observed.points[matches[:, 0]], self.j.observed.points[matches[:, 1]]

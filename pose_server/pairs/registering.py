@@ -59,11 +59,13 @@ class Registered:
     fit: SurfaceFit | None = None
 
 
-def registered(pair: Pair, T_i_j: Floats, method: Method) -> Registered | None:
+def registered(
+    pair: Pair, T_i_j: Floats, method: Method, salient_only: bool = False
+) -> Registered | None:
     """A pose after ICP: of the clouds where both are dense, else of the salient points; none where
     it is switched off or there are too few.
     """
-    dense = pair.i.dense and pair.j.dense
+    dense = pair.i.dense and pair.j.dense and not salient_only
     points_i, points_j = salient(pair.i), salient(pair.j)
     if method == "off" or (not dense and min(len(points_i), len(points_j)) < _FEWEST_POINTS):
         return None
