@@ -1,8 +1,11 @@
 """What commands share that align recorded views: worker processes, views on the wire, jobs."""
 
+import ctypes
 import itertools
 import multiprocessing
+import os
 import random
+import signal
 from collections.abc import Container, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from pathlib import Path
@@ -13,10 +16,20 @@ from evaluation.mirror import mirror_folder
 from evaluation.pair_worker import encode, use_one_thread
 from evaluation.strip import random_name, strip
 
+_PR_SET_PDEATHSIG = 1  # of Linux, see prctl(2)
+
 
 def worker_pool(workers: int) -> ProcessPoolExecutor:
-    """Spawned processes whose libraries use one thread each."""
-    return ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), use_one_thread)
+    """Spawned processes whose libraries use one thread each, and that end with this one."""
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(workers, context, _start_worker, (os.getpid(),))
+
+
+def _start_worker(parent: int) -> None:
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it ended before prctl could tell
+        os._exit(1)
+    use_one_thread()
 
 
 def on_the_wire(
