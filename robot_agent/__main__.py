@@ -38,7 +38,9 @@ def _agent() -> None:
 @app.command()
 def run(
     name: Annotated[str | None, typer.Option(help="The robot's name, unique in its site.")] = None,
-    camera: Annotated[str | None, typer.Option(help="rgbd, views, stereo or synthetic.")] = None,
+    camera: Annotated[
+        str | None, typer.Option(help="rgbd, views, bundler, stereo or synthetic.")
+    ] = None,
     data: Annotated[
         str | None, typer.Option(help="Folder, video, device (or left,right) or endpoint.")
     ] = None,
@@ -54,7 +56,12 @@ def run(
     clouds: Annotated[
         str | None, typer.Option(help="Posed views: which clouds. [default: clouds]")
     ] = None,
-    view: Annotated[str | None, typer.Option(help="Posed views: only this view.")] = None,
+    view: Annotated[
+        str | None, typer.Option(help="Posed views, Bundler's folders: only this view.")
+    ] = None,
+    metres_per_unit: Annotated[
+        float | None, typer.Option(help="Bundler's folders: their scale. [default: 1]")
+    ] = None,
     connect: Annotated[
         list[str] | None, typer.Option(help="Router, repeatable. [default: tcp/127.0.0.1:7447]")
     ] = None,
@@ -93,6 +100,7 @@ def run(
         "replay": replay,
         "clouds": clouds,
         "view": view,
+        "metres_per_unit": metres_per_unit,
         "connect": tuple(connect) if connect else None,
         "site": site,
         "config": config,

@@ -36,6 +36,7 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
         settings.replay,
         clouds=settings.clouds,
         view=settings.view,
+        metres_per_unit=settings.metres_per_unit,
         calibration=settings.calibration,
         video=video_settings(settings.size, settings.fps, settings.fourcc, settings.max_skew_ms),
         stop=stop,

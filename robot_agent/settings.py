@@ -55,7 +55,12 @@ class RobotSettings(BaseSettings):
         10.0, gt=0, le=1000, description="two devices: images taken further apart are dropped"
     )
     clouds: str | None = Field(None, description="kind of clouds; for posed views")
-    view: str | None = Field(None, description="the one view to show; for posed views")
+    view: str | None = Field(
+        None, description="the one view to show; for posed views and Bundler's folders"
+    )
+    metres_per_unit: float = Field(
+        1.0, gt=0, le=1e6, description="scale of a reconstruction; for Bundler's folders"
+    )
     replay: ReplayMode = "once"
     rate_hz: float = Field(1.0, gt=0, le=100)
     max_salient: int = Field(1600, ge=10, le=20_000, description="salient points per view")

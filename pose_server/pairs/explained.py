@@ -29,6 +29,7 @@ _EASY_PARALLAX_RAD, _EASY_SCALE = np.radians(40.0), np.log(1.6)
 _CHANCE, _MOST_LIKELY = 1e-3, 0.95  # that none of the points around is found; that one is
 _LEAST_AROUND, _MOST_AROUND = 20, 60  # points
 _ASKED_POINTS, _LEAST_TOLD = 300, 10  # of a view, enough to tell a share
+_STRONGEST = 700  # visible places: weaker ones of a wide set are found now here, now there
 # Descriptors hardly stand a tilt of more than three; by so many points around it is measured.
 _TILT, _TILTED_TOGETHER = np.log(3.0), 9
 _LEAST_SPREAD_PX2, _LEAST_STRETCH = 1e-3, 1e-6
@@ -138,25 +139,33 @@ def holes(uv: Floats, visible: Visible, found: Indices) -> float:
     How likely a point is found is told by its angle and distance to both cameras, by how much its
     surroundings are tilted from one to the other, and by the share of all that are. Around it so
     many of the nearest ones are looked at that one of a thousand times none would be found; points
-    around which too little may be expected do not count.
+    around which too little may be expected do not count. Copies of one spot are one point.
 
     Args:
         uv: (N, 2) pixels of all salient points of the view.
         visible: those that the other one should see.
         found: numbers of those that are found again.
     """
-    uv = uv[visible.mask]
-    if len(uv) < _LEAST_AROUND:
-        return 0.0
     again = np.zeros(len(visible.mask), bool)
     again[found] = True
-    again = again[visible.mask]
+    index = np.flatnonzero(visible.mask)
+    cells, place = np.unique(_cells(uv[index]), return_inverse=True)
+    if len(cells) < _LEAST_AROUND:
+        return 0.0
+    first = np.full(len(cells), len(index))
+    np.minimum.at(first, place, np.arange(len(index)))  # the strongest copy of each place
+    found_there = np.zeros(len(cells), bool)
+    np.logical_or.at(found_there, place, again[index])
+    some = np.sort(first)[:_STRONGEST]
+    uv, there = uv[index[some]], visible.uv[some]
+    parallax_rad, scale = visible.parallax_rad[some], visible.scale[some]
+    again = found_there[place[some]]
     tree = cKDTree(uv)
-    tilt = _log_tilt(uv, visible.uv, tree.query(uv, k=_TILTED_TOGETHER)[1]) / _TILT
-    likely = np.exp(-((visible.parallax_rad / PARALLAX_RAD) ** 2) - visible.scale**2 - tilt**2)
+    tilt = _log_tilt(uv, there, tree.query(uv, k=_TILTED_TOGETHER)[1]) / _TILT
+    likely = np.exp(-((parallax_rad / PARALLAX_RAD) ** 2) - scale**2 - tilt**2)
     likely = np.clip(likely * again.sum() / max(likely.sum(), 1e-9), 0.0, _MOST_LIKELY)
-    some = slice(None, None, 1 + len(uv) // _ASKED_POINTS)
-    _, nearest = tree.query(uv[some], k=min(_MOST_AROUND, len(uv)))
+    asked = slice(None, None, 1 + len(uv) // _ASKED_POINTS)
+    _, nearest = tree.query(uv[asked], k=min(_MOST_AROUND, len(uv)))
     no_chance = np.cumsum(np.log1p(-likely)[nearest], axis=1) < np.log(_CHANCE)
     told = no_chance[:, -1]
     if told.sum() < _LEAST_TOLD:
@@ -192,8 +201,13 @@ def empty_parts(view: Observed, uv: Floats, again: Bools, rate: float | None = N
 
 def count_places(uv: Floats) -> int:
     """Distinct places among pixels (N, 2)."""
+    return len(np.unique(_cells(uv)))
+
+
+def _cells(uv: Floats) -> Indices:
+    """(N,) a number for the place of each pixel (N, 2): copies have the same."""
     cells = np.rint(uv / _CELL_PX).astype(np.int64)
-    return len(np.unique(cells[:, 0] << 32 | cells[:, 1]))
+    return cells[:, 0] << 32 | cells[:, 1]
 
 
 def seen_from_both(points: Floats, T_target_source: Floats) -> tuple[Floats, Floats]:

@@ -17,7 +17,8 @@ Floats = npt.NDArray[np.floating]
 
 _NOTHING = 0.003  # share of places that is as good as none: its logarithm stays finite
 _FEW = 0.003
-_MOST_CHI2, _MOST_OFF, _MOST_HOLES = 25.0, 0.5, 0.2
+_MOST_CHI2, _MOST_OFF = 25.0, 0.5
+_FEW_HOLES, _MOST_HOLES = 0.05, 0.15  # nine in ten right poses have no more
 # How likely a pose may be gravely off that is called verified, and from where on it is refused. Of
 # the poses called verified far fewer are: most are far below the limit.
 VERIFIED_P_GRAVE, REJECTED_P_GRAVE = 0.03, 0.9
@@ -99,7 +100,7 @@ def signs(e: Evidence, contrast: Floats) -> Floats:
             1 - e.explained.front if e.explained.sides >= 10 else 0.0,
             np.log(np.clip(3 * e.position_sigma + e.shift + e.pulled, 0.003, _MOST_OFF)),
             min((e.rival + 1) / (e.rivalled + 1), 1.0),
-            min(e.explained.holes, _MOST_HOLES),
+            min(max(e.explained.holes - _FEW_HOLES, 0.0), _MOST_HOLES),
         )
     )
 

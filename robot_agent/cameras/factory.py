@@ -11,8 +11,12 @@ from typing import Any, Literal
 
 from robot_agent.cameras.base import Camera
 
-CameraKind = Literal["rgbd", "views", "stereo", "synthetic"]
-_OPTIONS = {"views": ("clouds", "view"), "stereo": ("calibration", "video", "stop")}
+CameraKind = Literal["rgbd", "views", "bundler", "stereo", "synthetic"]
+_OPTIONS = {
+    "views": ("clouds", "view"),
+    "bundler": ("view", "metres_per_unit"),
+    "stereo": ("calibration", "video", "stop"),
+}
 
 
 def open_camera(
@@ -22,6 +26,7 @@ def open_camera(
     *,
     clouds: str | None = None,
     view: str | None = None,
+    metres_per_unit: float = 1.0,
     calibration: Path | None = None,
     video: Any = None,
     stop: threading.Event | None = None,
@@ -33,7 +38,8 @@ def open_camera(
         source: a folder, a file, a device or an endpoint, whatever the kind reads.
         replay: `once`, `loop`, `pingpong` or `hold`, for recordings.
         clouds: posed views only, which kind of clouds to take.
-        view: posed views only, the one view to take.
+        view: posed views and Bundler's folders, the one view to take.
+        metres_per_unit: Bundler's folders, whose scale is arbitrary.
         calibration: stereo only, its file.
         video: stereo only, `robot_agent.cameras.video.VideoSettings`.
         stop: stereo only, ends the waiting for a device.
@@ -44,6 +50,7 @@ def open_camera(
     given = {
         "clouds": clouds,
         "view": view,
+        "metres_per_unit": metres_per_unit,
         "calibration": calibration,
         "video": video,
         "stop": stop,

@@ -35,9 +35,13 @@ def find_bundle(folder: Path) -> Path | None:
     return found[0] if len(found) == 1 else None
 
 
-def read_bundler(folder: Path) -> Reconstruction:
+def read_bundler(folder: Path, only: str | None = None) -> Reconstruction:
     """Reads a Bundler folder: `bundle.out` there or one folder below; the images by `list.txt`,
     else all that are there, in the order of their names.
+
+    Args:
+        folder: the folder.
+        only: name of the one image to take, with or without its ending; all if not given.
 
     Raises:
         DataFolderError: a file is missing, cut off, or says what cannot be; the text names it.
@@ -52,10 +56,11 @@ def read_bundler(folder: Path) -> Reconstruction:
     views = [
         _view(bundle, image, camera, *seen)
         for image, camera, seen in zip(images, cameras, seen_by, strict=True)
-        if camera[0] > 0 and len(seen[0])
+        if camera[0] > 0 and len(seen[0]) and only in (None, image.name, image.stem)
     ]
     if not views:
-        raise DataFolderError(f"{bundle}: no camera is registered and sees a point")
+        which = "no camera" if only is None else f"no camera of an image '{only}'"
+        raise DataFolderError(f"{bundle}: {which} is registered and sees a point")
     return Reconstruction(tuple(views), points, colours)
 
 

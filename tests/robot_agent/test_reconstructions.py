@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import DataFolderError
+from robot_agent.cameras.factory import open_camera
 from robot_agent.reconstructions.bundler import read_bundler
 from tests.data import shared_data
 
@@ -110,6 +111,18 @@ def test_a_listed_image_that_is_missing_is_named(tmp_path):
     (tmp_path / "list.txt").write_text("photo0.jpg\ngone.jpg\nphoto2.jpg\n")
     with pytest.raises(DataFolderError, match=r"gone\.jpg"):
         read_bundler(tmp_path)
+
+
+def test_an_agent_takes_one_photo_in_metres_and_hears_nothing_of_poses(tmp_path):
+    write(tmp_path)
+    camera = open_camera("bundler", str(tmp_path), "once", view="photo1", metres_per_unit=2)
+    (frame,) = camera.frames()
+    model = read_bundler(tmp_path)
+    assert np.allclose(frame.ranges.z, 2 * model.in_camera(model.views[1])[:, 2])
+    assert np.allclose(frame.model.K, model.views[1].K)
+    assert not any("world" in name for name in vars(frame))
+    with pytest.raises(DataFolderError, match="photo9"):
+        open_camera("bundler", str(tmp_path), "once", view="photo9")
 
 
 def test_bundlers_own_example_reprojects_as_its_authors_left_it():
