@@ -34,7 +34,9 @@ def repetition(site: Site) -> float:
 
 
 def believed(site: Site) -> list[Edge]:
-    """The graph's edges as far as the place lets them be believed."""
+    """The graph's edges as far as the place lets them be believed. What is doubted is no witness
+    for another one: who takes one wing for the other does so in all pairs.
+    """
     site.repetition = repetition(site)
     return [_doubted(edge, site.repetition) for edge in site.edges.values()]
 
@@ -43,7 +45,8 @@ def _doubted(edge: Edge, share: float) -> Edge:
     sure = edge.verdict != "verified" or edge.singled_out or edge.kind != "pair" or edge.operator
     if share == 0 or sure:
         return edge
-    return replace(edge, verdict="plausible", p_grave=max(edge.p_grave, share))
+    doubt = max(edge.p_grave, share)
+    return replace(edge, verdict="plausible", p_grave=doubt, structure=None)
 
 
 def note_repetition(site: Site) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 
 from pose_server.correspondences.book import Book
 from pose_server.fleet.types import Edge, EdgeJudgement
+from pose_server.geometry.structure import Structure
 from pose_server.pairs.judging import PairResult
 from pose_server.repeats import believed, note_refuted, note_repetition, repetition
 from pose_server.site import Site
@@ -28,7 +29,14 @@ def place(*results: PairResult) -> Site:
         a, b = f"a{k}", f"b{k}"
         site.pair(a, b).last = result
         if result.verdict == "verified":
-            edge = Edge(view(a), view(b), np.eye(4), np.eye(6), p_grave=result.p_grave)
+            edge = Edge(
+                view(a),
+                view(b),
+                np.eye(4),
+                np.eye(6),
+                p_grave=result.p_grave,
+                structure=Structure(np.zeros(3), np.eye(3)),
+            )
             site.edges[edge.key] = edge
     return site
 
@@ -46,6 +54,7 @@ def test_where_pairs_are_twofold_what_had_no_rival_is_as_doubtful_as_the_place()
     site = place(*[VERIFIED] * 2, *[TWOFOLD] * 2)
     assert repetition(site) == 0.5 and verdicts(site) == ["plausible"] * 2
     assert all(edge.p_grave == 0.5 for edge in believed(site))
+    assert all(edge.structure is None for edge in believed(site)), "no witness for each other"
 
 
 def test_what_beat_its_rivals_or_was_clicked_is_believed_all_the_same():
