@@ -23,6 +23,7 @@ from pose_server.pairs.rivals import left_over, one_step_on, rivals_of, unique_p
 from pose_server.pairs.trust import (
     ELSEWHERE_P_GRAVE,
     RIVAL_P_GRAVE,
+    holes_beyond_few,
     p_grave,
     stands,
     with_rivals,
@@ -39,7 +40,7 @@ Indices = npt.NDArray[np.int64]
 COVARIANCE_INFLATION = 2.8
 COVARIANCE_FLOOR = 3e-4
 _JUDGED_RADIUS = 0.008  # around predicted places, share of the depth
-_TELLING_HOLES = 0.08  # nineteen in twenty right poses have less, three in four aliases more
+_TELLING_HOLES = 0.03  # beyond what right poses have
 _MOST_PIXEL_NOISE = 4.0  # that may be found at a pose: an alias shows by it
 
 
@@ -169,7 +170,7 @@ def _but_for_holes(verdict: Verdict, e: Evidence) -> bool:
     wings that are alike but for what hangs on their walls one was taken for the other. In real
     places this was said of one pair for each thirty that were verified, and of no wrong one.
     """
-    if verdict == "verified" or e.explained.holes < _TELLING_HOLES:
+    if verdict == "verified" or holes_beyond_few(e) < _TELLING_HOLES:
         return False
     filled = replace(e, explained=replace(e.explained, holes=0.0))
     return p_grave(filled, MODEL) < ELSEWHERE_P_GRAVE

@@ -18,7 +18,9 @@ Floats = npt.NDArray[np.floating]
 _NOTHING = 0.003  # share of places that is as good as none: its logarithm stays finite
 _FEW = 0.003
 _MOST_CHI2, _MOST_OFF = 25.0, 0.5
-_FEW_HOLES, _MOST_HOLES = 0.05, 0.15  # nine in ten right poses have no more
+# Nine in ten right poses have no more holes than so many, and so many for each radian between both
+# views: .013 below .2 rad, .04 at .5, .05 at .9, .09 at 1.15, .13 at 1.5.
+_FEW_HOLES, _FEW_PER_RAD, _MOST_HOLES = 0.02, 0.06, 0.15
 # How likely a pose may be gravely off that is called verified, and from where on it is refused. Of
 # the poses called verified far fewer are: most are far below the limit.
 VERIFIED_P_GRAVE, REJECTED_P_GRAVE = 0.03, 0.9
@@ -82,6 +84,12 @@ def shares(e: Evidence) -> Floats:
     )
 
 
+def holes_beyond_few(e: Evidence) -> float:
+    """By how much the share of points that are missing exceeds what right poses have."""
+    few = _FEW_HOLES + _FEW_PER_RAD * e.explained.parallax_rad
+    return max(e.explained.holes - few, 0.0)
+
+
 def signs(e: Evidence, contrast: Floats) -> Floats:
     """(S,) signs of a grave error, each the larger the more likely one is.
 
@@ -100,7 +108,7 @@ def signs(e: Evidence, contrast: Floats) -> Floats:
             1 - e.explained.front if e.explained.sides >= 10 else 0.0,
             np.log(np.clip(3 * e.position_sigma + e.shift + e.pulled, 0.003, _MOST_OFF)),
             min((e.rival + 1) / (e.rivalled + 1), 1.0),
-            min(max(e.explained.holes - _FEW_HOLES, 0.0), _MOST_HOLES),
+            min(holes_beyond_few(e), _MOST_HOLES),
         )
     )
 

@@ -17,15 +17,15 @@ MODEL = TrustModel(
         0.1875,  # unexplained
         0.1875,  # found_by_guidance_alone
         0.1875,  # surfaces_disagree
-        0.5442,  # seen_through
-        0.2507,  # few_exact
-        0.2003,  # few_unguided
-        0.147,  # hazy
-        0.7677,  # loose_depths
-        8.014,  # from_behind
-        0.2044,  # undetermined
-        1.143,  # rival
-        41.28,  # holes
+        0.5323,  # seen_through
+        0.2506,  # few_exact
+        0.2002,  # few_unguided
+        0.1468,  # hazy
+        0.767,  # loose_depths
+        8.33,  # from_behind
+        0.2041,  # undetermined
+        1.142,  # rival
+        41.3,  # holes
     ),
-    bias=-5.14,
+    bias=-5.168,
 )
