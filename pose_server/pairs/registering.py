@@ -12,6 +12,7 @@ from pose_server.geometry.icp import (
     SurfaceFit,
     by_open3d,
     gicp,
+    open3d,
     plain_cloud,
     point_to_point,
     residual,
@@ -69,6 +70,8 @@ def registered(
     points_i, points_j = salient(pair.i), salient(pair.j)
     if method == "off" or (not dense and min(len(points_i), len(points_j)) < _FEWEST_POINTS):
         return None
+    if method != "gicp":
+        open3d()  # its first import takes seconds, which are not ICP's
     began = time.perf_counter()
     fit: SurfaceFit | None = None
     if dense:
