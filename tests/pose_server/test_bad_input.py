@@ -166,12 +166,12 @@ def test_stamps_centuries_off_and_numbers_that_jump_are_published(stamp_ns):
 
 
 def test_an_alignment_that_went_astray_is_no_result(monkeypatch):
-    from pose_server.pairs import engine
+    from pose_server.pairs import recipes
     from tests.pose_server.test_flows import result
 
     T = np.eye(4)
     T[0, 3] = np.inf
-    monkeypatch.setattr(engine, "align_pair", lambda *_: result(T))
+    monkeypatch.setattr(recipes, "align_pair", lambda *_: result(T))
     encoded = EncodedView(GOOD.name, pack(GOOD))
     with pytest.raises(CodecError, match="finite"):
         run_job(Job("pair", encoded, encoded))
