@@ -40,7 +40,9 @@ class Clocks:
         usual_s = min(statistics.median(ahead_s.values()), 0.0) if len(ahead_s) > 2 else 0.0
         for robot, early_s in sorted(ahead_s.items()):
             spread_s = early_s - statistics.median(self._early_s[robot][1])
-            behind = early_s < usual_s - LEAST_BEHIND_S and spread_s < -STEADY_SHARE * early_s
+            kept = len(self._early_s[robot][1])  # while all start up, the first few are late
+            late = kept == KEPT_VIEWS and early_s < usual_s - LEAST_BEHIND_S
+            behind = late and spread_s < -STEADY_SHARE * early_s
             if early_s > LEAST_AHEAD_S or behind:
                 yield robot, early_s
 

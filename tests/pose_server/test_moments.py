@@ -134,3 +134,12 @@ def test_a_new_life_begins_with_nothing_and_who_is_gone_is_forgotten():
     gone = arrivals(3.0)
     gone.keep_only(set())
     assert told(gone) == {}
+
+
+def test_a_robot_whose_first_views_are_late_while_all_start_up_has_no_wrong_clock():
+    clocks = Clocks()
+    for _ in range(KEPT_VIEWS - 1):
+        clocks.note("r2", "a", -4.3)
+        assert not list(clocks.wrong())
+    clocks.note("r2", "a", -4.3)
+    assert list(clocks.wrong()) == [("r2", -4.3)], "late for good: its clock is behind"
