@@ -172,10 +172,14 @@ def _smaller_start(
         raise why
     everyone = np.ones(len(pairs), bool)
     if gravity is not None and len(pairs) >= 2:
-        linear = pose_by_gravity(pairs.p_a, pairs.p_b, gravity)
-        T, covariance = pairs.refined(linear, gravity)
-        start = Start(OPERATOR, T, _sigma(i, j, T, covariance))
-        return OperatorStart(start, linear, covariance, everyone, "upright", pairs, str(why))
+        try:
+            linear = pose_by_gravity(pairs.p_a, pairs.p_b, gravity)
+            T, covariance = pairs.refined(linear, gravity)
+        except DegenerateGeometryError as error:  # they stand above each other: a smaller model
+            why = error
+        else:
+            start = Start(OPERATOR, T, _sigma(i, j, T, covariance))
+            return OperatorStart(start, linear, covariance, everyone, "upright", pairs, str(why))
     known = min(others, key=lambda start: start.sigma, default=None)
     if known is not None:
         R, sigma = known.T_i_j[:3, :3], max(known.sigma, _TRANSLATION_SIGMA)

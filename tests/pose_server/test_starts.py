@@ -97,6 +97,15 @@ def test_one_click_stands_upright_where_gravity_is_known():
     assert np.allclose(found.linear[:3, :3] @ up_j, gravity.up_a, atol=1e-9)
 
 
+def test_two_clicks_above_each_other_step_down_to_a_shift_and_say_why():
+    up_j = np.array([0.0, -1.0, 0.0])
+    gravity = Gravity(T_TRUE[:3, :3] @ up_j, up_j)
+    above = np.array([[0.5, -2.0, 10.0], [0.5, 2.0, 10.0]])
+    found = start_from_clicks(I, J, clicked(above), [Start("graph", T_TRUE, 0.02)], gravity)
+    assert found.model == "translation" and "above each other" in found.note
+    assert np.allclose(found.start.T_i_j, T_TRUE, atol=1e-6)
+
+
 @pytest.mark.parametrize("count", [3, 4, 5])
 def test_the_linear_start_and_the_refined_one_compete(count):
     rng = np.random.default_rng(2)
