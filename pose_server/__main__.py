@@ -40,7 +40,9 @@ def run(
     anchor: Annotated[str | None, typer.Option(help="Robot at the fleet's origin.")] = None,
     recipe: Annotated[
         Literal["full", "paper"] | None,
-        typer.Option(help="How pairs are aligned: full, or paper (the method as published)."),
+        typer.Option(
+            help="full, or paper: as published, which judges nothing, so that located means little."
+        ),
     ] = None,
     icp: Annotated[
         Literal["gicp", "point_to_point", "point_to_plane", "off"] | None,

@@ -54,12 +54,11 @@ class PairResult:
     agree with each other agree with this one; `grown` from them: they are in it. `p_grave` is the
     probability that the pose is gravely off, 1 where there is none; `rivals` are other (4, 4) poses
     that the images support as well. `mirrored`: the views fit only if one of them is mirrored.
-    `structure` is what of
-    the world its matches rest on, in the frame of view i; `hearing` what became of the clicks it
-    was made with, `by_clicks` the pose that these give by themselves, `icp` what ICP did or would
-    have done. `twofold`: it would be verified, but another pose looks right as well, or all is
-    right but for things that stand about in both views and are not found; `singled_out`: others
-    looked right, but saw less of what is there.
+    `structure` is what of the world its matches rest on, in the frame of view i; `hearing` what
+    became of the clicks it was made with, `by_clicks` the pose that these give by themselves, `icp`
+    what ICP did or would have done. `twofold`: it would be verified, but another pose looks right as
+    well, or all is right but for things that stand about in both views and are not found;
+    `singled_out`: others looked right, but saw less of what is there.
     """
 
     T_i_j: Floats | None
@@ -167,8 +166,8 @@ def contested(pair: Pair, result: PairResult) -> PairResult:
 
 def _but_for_holes(verdict: Verdict, e: Evidence) -> bool:
     """Whether a pose would rather be right than wrong if all that stands about were found: of two
-    wings that are alike but for what hangs on their walls one was taken for the other. In real
-    places this was said of one pair for each thirty that were verified, and of no wrong one.
+    wings that are alike but for what hangs on their walls one was taken for the other. It is said of
+    right pairs too, now and then.
     """
     if verdict == "verified" or holes_beyond_few(e) < _TELLING_HOLES:
         return False

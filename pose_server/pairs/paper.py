@@ -27,8 +27,8 @@ from pose_server.pairs.views import PreparedView
 
 Floats = npt.NDArray[np.floating]
 
-# Share of the median depth: two views that share nothing leave .027, since each distance counts .03
-# at most; what is aligned leaves less than .015 (church_herzjesu, ring_temple).
+# Share of the median depth: two thirds of the distance (.03, or more for noisy depths) at which the
+# regression error counts a point as having no partner. Not fitted: the paper names no threshold.
 _MOST_RMSE = 0.02
 _SIGMA = 0.01  # of its poses, share of the depth and radians: the method states none
 _P_GRAVE = 0.01  # the method states none: everything that is shown is taken to be so

@@ -67,8 +67,8 @@ def registered(
     it is switched off or there are too few.
     """
     dense = pair.i.dense and pair.j.dense and not salient_only
-    points_i, points_j = salient(pair.i), salient(pair.j)
-    if method == "off" or (not dense and min(len(points_i), len(points_j)) < _FEWEST_POINTS):
+    lifted = min(len(view.observed.lifted) for view in (pair.i, pair.j))
+    if method == "off" or (not dense and lifted < _FEWEST_POINTS):
         return None
     if method != "gicp":
         open3d()  # its first import takes seconds, which are not ICP's
@@ -79,6 +79,7 @@ def registered(
         points_i, points_j = i.cloud.points()[:, :3], j.cloud.points()[:, :3]
         radius_m = _RADIUS_PX * pair.depth_m / pair.i.observed.focal_px
     else:
+        points_i, points_j = salient(pair.i), salient(pair.j)
         i, j = _plain(pair.i, points_i), _plain(pair.j, points_j)
         radius_m = POINTS_RADIUS * pair.depth_m
     if method != "gicp":
