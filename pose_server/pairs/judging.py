@@ -56,8 +56,8 @@ class PairResult:
     that the images support as well. `mirrored`: the views fit only if one of them is mirrored.
     `structure` is what of the world its matches rest on, in the frame of view i; `hearing` what
     became of the clicks it was made with, `by_clicks` the pose that these give by themselves, `icp`
-    what ICP did or would have done. `twofold`: it would be verified, but another pose looks right as
-    well, or all is right but for things that stand about in both views and are not found;
+    what ICP did or would have done. `twofold`: it would be verified, but another pose looks right
+    as well, or all is right but for things that stand about in both views and are not found;
     `singled_out`: others looked right, but saw less of what is there.
     """
 
@@ -166,8 +166,8 @@ def contested(pair: Pair, result: PairResult) -> PairResult:
 
 def _but_for_holes(verdict: Verdict, e: Evidence) -> bool:
     """Whether a pose would rather be right than wrong if all that stands about were found: of two
-    wings that are alike but for what hangs on their walls one was taken for the other. It is said of
-    right pairs too, now and then.
+    wings that are alike but for what hangs on their walls one was taken for the other. It is said
+    of right pairs too, now and then.
     """
     if verdict == "verified" or holes_beyond_few(e) < _TELLING_HOLES:
         return False
