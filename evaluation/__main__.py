@@ -38,11 +38,14 @@ def pairs(
     mirror_share: Annotated[
         float, typer.Option(min=0, max=1, help="Share of the cameras that flip their images.")
     ] = 0.0,
+    images: Annotated[
+        bool, typer.Option("--images/--without-images", help="Robots have images, or clouds alone.")
+    ] = True,
 ) -> None:
     """Align every pair of a recording, automatically, and compare with the truth."""
     from evaluation.pairs import run
 
-    run(data, clouds.value if clouds else None, out, workers, limit, mirror_share)
+    run(data, clouds.value if clouds else None, out, workers, limit, mirror_share, images)
 
 
 @app.command()

@@ -36,7 +36,8 @@ class TrueView:
     Attributes:
         index: place in the list of all views of the recording sorted by name.
         name: of the image file (posed views) or of the frame (RGB-D), e.g. `frame-000010`.
-        image: the colour image, registered to the depth where there is one.
+        image: the colour image, registered to the depth where there is one; of a scan, which has
+            none, the scan.
         cloud: the npz cloud or the depth image; none if this view has no cloud of the chosen kind.
         width, height, K: pinhole camera, px.
         T_world_camera: (4, 4), rotation projected to SO(3).
@@ -109,6 +110,12 @@ def open_recording(directory: Path, clouds: CloudKind | None = None) -> Recordin
         if clouds is not None:
             raise DataFolderError(f"{directory} is an RGB-D folder: leave --clouds out")
         return _open_rgbd(directory)
+    from evaluation.scans import is_scans, open_scans
+
+    if is_scans(directory):
+        if clouds is not None:
+            raise DataFolderError(f"{directory} holds scans: leave --clouds out")
+        return open_scans(directory)
     from evaluation.reconstructed import as_posed_views, is_reconstruction
 
     if is_reconstruction(directory):
@@ -117,7 +124,8 @@ def open_recording(directory: Path, clouds: CloudKind | None = None) -> Recordin
         return _open_posed_views(as_posed_views(directory), "sparse")
     raise DataFolderError(
         f"{directory} is no recording: it holds neither cameras.json (posed views), nor "
-        "camera-intrinsics.txt (RGB-D frames), nor bundle.out (a reconstruction by Bundler)"
+        "camera-intrinsics.txt (RGB-D frames), nor bundle.out (a reconstruction by Bundler), nor "
+        "poses.txt or T_target_source.txt (scans)"
     )
 
 
@@ -146,6 +154,10 @@ def points_of(view: TrueView) -> tuple[Floats, Floats]:
     if view.cloud.suffix == ".npz":
         with np.load(view.cloud) as arrays:
             return arrays["uv"].astype(np.float64), arrays["xyz_cam"].astype(np.float64)
+    if view.cloud == view.image:
+        from evaluation.scans import scan_points
+
+        return scan_points(view.cloud)
     depth = read_depth(view.cloud)
     rows, columns = np.nonzero(np.isfinite(depth))
     uv = np.column_stack((columns, rows)).astype(np.float64)

@@ -2,7 +2,7 @@
 
 import os
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,20 +56,24 @@ def use_one_thread() -> None:
     engine.use_one_thread()
 
 
-def encode(robot: str, camera: str, folder: Path, wire: Path) -> float:
-    """Does an agent's work for one frame, writes the bytes to a file, returns the milliseconds."""
+def encode(robot: str, camera: str, folder: Path, wire: Path, images: bool = True) -> float:
+    """Does an agent's work for one frame, writes the bytes to a file, returns the milliseconds.
+    Without images it has the cloud alone.
+    """
     from protocol import codec
     from protocol.keys import new_epoch
     from protocol.messages import ViewName
     from robot_agent.cameras.factory import open_camera
+    from robot_agent.drawing import picture_of
     from robot_agent.kept import kept_view
     from robot_agent.packing import view_of
-    from robot_agent.salient import salient_points
+    from robot_agent.salient import salient_of
 
-    kind = "views" if camera == "views" else "rgbd"
-    frame = next(iter(open_camera(kind, str(folder), "once").frames()))
+    frame = next(iter(open_camera(camera, str(folder), "once").frames()))
+    if not images:
+        frame = replace(frame, image=picture_of(frame.ranges, frame.model), has_image=False)
     began = time.perf_counter()
-    salient = salient_points(frame.image, frame.ranges, frame.model)
+    salient = salient_of(frame)
     name = ViewName(robot=robot, epoch=new_epoch(), seq=0)
     view = view_of(name, frame, salient)
     payload = codec.pack(view)
@@ -166,7 +170,7 @@ def answer_of(result: "PairResult", align_ms: float, wide: bool = False) -> Answ
         wide=wide,
         p_grave=result.p_grave,
         mirrored=result.mirrored,
-        evidence=_flat(result.evidence),
+        evidence=_flat(result.evidence or result.surfaces),
     )
 
 

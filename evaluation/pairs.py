@@ -46,6 +46,7 @@ def run(
     workers: int = 2,
     limit: int | None = None,
     mirror_share: float = 0.0,
+    images: bool = True,
 ) -> dict[str, Any]:
     """Aligns all pairs; writes tables, plots and a report; returns the summary.
 
@@ -56,6 +57,7 @@ def run(
         workers: processes.
         limit: take that many pairs only, chosen evenly.
         mirror_share: share of the views whose cameras flip their images.
+        images: whether robots have images beside their clouds.
 
     Raises:
         FleetPoseError: the data cannot be used, or the folder cannot be made.
@@ -74,7 +76,13 @@ def run(
         # two such cameras see one mirrored world, of which the recording's truth says nothing
         pairs = [(i, j) for i, j in pairs if not {i.index, j.index} <= flipped]
         wires, robot_ms = on_the_wire(
-            recording, list(views.values()), Path(folder), pool, progress, mirrored=flipped
+            recording,
+            list(views.values()),
+            Path(folder),
+            pool,
+            progress,
+            mirrored=flipped,
+            images=images,
         )
         server_ms = list(pool.map(prepare_ms, wires.values()))
         limits = Limits.of(median_m, recording.is_rgbd)

@@ -28,8 +28,10 @@ class StrippedFolder:
     views: tuple[TrueView, ...]
 
     @property
-    def camera(self) -> Literal["views", "rgbd"]:
+    def camera(self) -> Literal["views", "rgbd", "cloud"]:
         """The agent's `--camera`."""
+        if self.views[0].image == self.views[0].cloud:
+            return "cloud"
         return "views" if (self.path / "cameras.json").exists() else "rgbd"
 
 
@@ -56,7 +58,9 @@ def strip(
     """
     folder.mkdir(parents=True)
     try:
-        if recording.is_rgbd:
+        if views[0].image == views[0].cloud:
+            _strip_scans(views, folder, rng)
+        elif recording.is_rgbd:
             _strip_rgbd(views, folder)
         else:
             assert recording.clouds is not None
@@ -147,3 +151,9 @@ def _strip_rgbd(views: Sequence[TrueView], folder: Path) -> None:
         shutil.copyfile(view.cloud, folder / f"{name}.depth.png")
         ending = view.image.name.split(".", 1)[1]
         shutil.copyfile(view.image, folder / f"{name}.{ending}")
+
+
+def _strip_scans(views: Sequence[TrueView], folder: Path, rng: random.Random) -> None:
+    for number, view in enumerate(views):
+        name = f"{_letters(number)}{random_name(rng, '')}{view.image.suffix}"
+        shutil.copyfile(view.image, folder / name)

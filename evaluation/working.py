@@ -40,11 +40,13 @@ def on_the_wire(
     progress: Any,
     seed: int | None = None,
     mirrored: Container[int] = (),
+    images: bool = True,
 ) -> tuple[dict[int, Path], list[float]]:
     """What every view's robot sends, in one file each, and the milliseconds it took the robot.
 
     Each robot works on a stripped folder of its own: nothing of the truth is in these files. The
-    robots' names are drawn by the seed. The cameras of `mirrored` views flip their images.
+    robots' names are drawn by the seed. The cameras of `mirrored` views flip their images; without
+    images robots have their clouds alone.
     """
     rng = random.Random(seed)
     task = progress.add_task("views", total=len(views))
@@ -56,7 +58,7 @@ def on_the_wire(
         if view.index in mirrored:
             mirror_folder(stripped.path)
         wires[view.index] = folder / f"{robot}.msgpack"
-        job = pool.submit(encode, robot, stripped.camera, stripped.path, wires[view.index])
+        job = pool.submit(encode, robot, stripped.camera, stripped.path, wires[view.index], images)
         job.add_done_callback(lambda _: progress.advance(task))
         jobs.append((view.index, job))
     return wires, [job.result() for _, job in jobs]

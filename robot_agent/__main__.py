@@ -59,8 +59,12 @@ def run(
     view: Annotated[
         str | None, typer.Option(help="Posed views, Bundler's folders: only this view.")
     ] = None,
+    axes: Annotated[
+        str | None,
+        typer.Option(help="Clouds: robot (x ahead, z up) or optical (z ahead). [default: robot]"),
+    ] = None,
     metres_per_unit: Annotated[
-        float | None, typer.Option(help="Bundler's folders: their scale. [default: 1]")
+        float | None, typer.Option(help="Bundler's folders, clouds: their scale. [default: 1]")
     ] = None,
     connect: Annotated[
         list[str] | None, typer.Option(help="Router, repeatable. [default: tcp/127.0.0.1:7447]")
@@ -100,6 +104,7 @@ def run(
         "replay": replay,
         "clouds": clouds,
         "view": view,
+        "axes": axes,
         "metres_per_unit": metres_per_unit,
         "connect": tuple(connect) if connect else None,
         "site": site,

@@ -37,6 +37,7 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
         clouds=settings.clouds,
         view=settings.view,
         metres_per_unit=settings.metres_per_unit,
+        axes=settings.axes,
         calibration=settings.calibration,
         video=video_settings(settings.size, settings.fps, settings.fourcc, settings.max_skew_ms),
         stop=stop,

@@ -26,6 +26,7 @@ from protocol.presence import LiveServer, Presence
 from protocol.transport import Link, SessionSettings, open_session
 from robot_agent.cameras.base import DepthImage, DisparityImage, Frame, Ranges, ScatteredPoints
 from robot_agent.cameras.frozen import Repeats
+from robot_agent.drawing import picture_of
 from robot_agent.poses import PoseBoard
 from robot_agent.sender import Sender, SenderSettings
 
@@ -101,7 +102,7 @@ class FleetRobot:
 
     def push(
         self,
-        image: npt.NDArray[np.uint8],
+        image: npt.NDArray[np.uint8] | None,
         ranges: Ranges | npt.NDArray[np.floating],
         stamp_ns: int | None = None,
         T_odom_robot: npt.NDArray[np.float64] | None = None,
@@ -113,7 +114,8 @@ class FleetRobot:
         """Sends what the robot sees now; returns at once.
 
         Args:
-            image: (H, W, 3) uint8 BGR, rectified, full resolution.
+            image: (H, W, 3) uint8 BGR, rectified, full resolution; None of a sensor that has none,
+                e.g. time of flight: its pairs are aligned by the shape of their surfaces.
             ranges: what was measured on its grid; an array (H, W) is depth in metres, nan or 0
                 where there is none.
             stamp_ns: UTC of the robot's clock; now if not given.
@@ -134,15 +136,18 @@ class FleetRobot:
         """
         if self._camera is None:
             raise CalibrationError("push needs the camera's model: give FleetRobot a camera")
-        image = image.copy()  # the caller may reuse the buffer
+        ranges = _copied(ranges)  # the caller may reuse the buffers
+        drawn = image is None
+        image = picture_of(ranges, self._camera) if image is None else image.copy()
         frame = Frame(
             stamp_ns=time.time_ns() if stamp_ns is None else stamp_ns,
             image=image,
-            ranges=_copied(ranges),
+            ranges=ranges,
             model=self._camera,
             up_camera=up_camera,
             up_sigma_rad=up_sigma_rad,
             raw=(image,) if live else (),
+            has_image=not drawn,
         )
         if T_odom_robot is not None:
             self.push_odometry(T_odom_robot, frame.stamp_ns, odometry_covariance)

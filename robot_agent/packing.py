@@ -31,6 +31,7 @@ def view_of(name: ViewName, frame: Frame, salient: SalientPoints) -> View:
         up_camera=frame.up_camera,
         up_sigma_rad=frame.up_sigma_rad,
         frozen_s=frame.frozen_s,
+        has_image=frame.has_image,
     )
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from protocol.clouds import SalientPoints
 from protocol.messages import Camera
-from robot_agent.cameras.base import Ranges
+from robot_agent.cameras.base import Frame, Ranges
 from robot_agent.lifting import lift_points
 
 EXTRACTOR = "rootsift"
@@ -36,6 +36,18 @@ def salient_points(
         max_points: keep so many of the twice as many strongest, those with depth first.
     """
     return lifted_points(detect(grey_of(image), 2 * max_points), ranges, model, max_points)
+
+
+def salient_of(frame: Frame, max_points: int = 1600) -> SalientPoints:
+    """The salient points of a frame; none where it has no image: nothing looks like anything in a
+    drawing, and the server goes by shapes.
+    """
+    if frame.has_image:
+        return salient_points(frame.image, frame.ranges, frame.model, max_points)
+    nothing = np.zeros(0, np.float32)
+    return SalientPoints(
+        np.zeros((0, 2), np.float32), nothing, nothing, np.zeros((0, 128), np.uint8)
+    )
 
 
 def grey_of(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:

@@ -24,7 +24,7 @@ from protocol.transport import ENCODING_JPEG, Link
 from robot_agent.cameras.base import Frame
 from robot_agent.kept import JPEG_QUALITY, KeptViews, kept_view
 from robot_agent.packing import view_of
-from robot_agent.salient import salient_points
+from robot_agent.salient import salient_of
 
 log = logging.getLogger(__name__)
 
@@ -160,7 +160,7 @@ class Sender:
         )
 
     def _encoded(self, name: ViewName, frame: Frame) -> KeptView:
-        salient = salient_points(frame.image, frame.ranges, frame.model, self._settings.max_salient)
+        salient = salient_of(frame, self._settings.max_salient)
         return kept_view(view_of(name, frame, salient), frame.image, self._settings.jpeg_quality)
 
     def _again(self, name: ViewName, frame: Frame) -> KeptView | None:

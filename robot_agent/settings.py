@@ -1,7 +1,7 @@
 """All settings of the agent: defaults, overlaid by file, environment and command line."""
 
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, ValidationError
 from pydantic_settings import (
@@ -57,6 +57,10 @@ class RobotSettings(BaseSettings):
     clouds: str | None = Field(None, description="kind of clouds; for posed views")
     view: str | None = Field(
         None, description="the one view to show; for posed views and Bundler's folders"
+    )
+    axes: Literal["robot", "optical"] = Field(
+        "robot",
+        description="clouds: robot (x ahead, y left, z up) or optical (x right, y down, z ahead)",
     )
     metres_per_unit: float = Field(
         1.0, gt=0, le=1e6, description="scale of a reconstruction; for Bundler's folders"

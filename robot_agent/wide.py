@@ -32,6 +32,8 @@ def wide_view(kept: KeptView) -> View:
     Raises:
         CodecError: the view was kept without an image.
     """
+    if not kept.view.has_image:
+        return kept.view
     if kept.jpeg is None:
         raise CodecError(f"view {kept.view.name} has no image to find salient points in")
     grey = cv2.imdecode(np.frombuffer(kept.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)

@@ -26,6 +26,7 @@ from pose_server.pairs.refining import (
     with_icp,
     with_surfaces,
 )
+from pose_server.pairs.surfaces import align_surfaces
 from pose_server.pairs.views import PreparedView
 
 Floats = npt.NDArray[np.floating]
@@ -56,6 +57,8 @@ def align_pair(
     """
     began = time.perf_counter()
     pair = Pair(i, j, RATIO)
+    if not pair.looks:
+        return align_surfaces(pair, starts, features, icp)
     matched = time.perf_counter()
     candidates: list[Candidate] = []
     for start in starts:
@@ -128,6 +131,9 @@ def align_from(
     """
     began = time.perf_counter()
     pair = Pair(i, j, RATIO)
+    if not pair.looks:
+        found = align_surfaces(pair, starts, False, icp)
+        return known if _TRUST[found.verdict] < _TRUST[known.verdict] else found
     candidates = [one for start in starts for one in from_start(pair, start)]
     if known.T_i_j is not None:
         candidates.append(Candidate(pair, known.start, known.T_i_j))
@@ -142,7 +148,7 @@ def align_from(
 
 def is_settled(result: PairResult) -> bool:
     """Whether the wide sets of salient points could not add to a result."""
-    if result.mirrored:
+    if result.mirrored or result.surfaces is not None:
         return True
     e = result.evidence
     return (

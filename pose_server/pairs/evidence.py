@@ -58,3 +58,25 @@ class Evidence:
     depth_sigma: float
     lead: float
     explained: Explained
+
+
+@dataclass(frozen=True)
+class SurfaceEvidence:
+    """What speaks for and against a pose by clouds alone.
+
+    Attributes:
+        compared, agree, through, overlap: see `geometry.evidence.Agreement`.
+        score: what agrees beyond what is seen through, times the root of the overlap.
+        rival: the largest score of a pose elsewhere.
+        position_sigma: of the weakest direction, share of the median depth.
+        rotation_sigma_rad: of the weakest rotation.
+    """
+
+    compared: int
+    agree: float
+    through: float
+    overlap: float
+    score: float
+    rival: float
+    position_sigma: float
+    rotation_sigma_rad: float

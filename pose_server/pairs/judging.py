@@ -14,7 +14,7 @@ from pose_server.geometry.motion import Mask
 from pose_server.geometry.refine import NoiseScale, Refinement
 from pose_server.geometry.se3 import inverse, position_covariance, rotation_angle, transform
 from pose_server.geometry.structure import Structure
-from pose_server.pairs.evidence import NO_RIVAL, Evidence
+from pose_server.pairs.evidence import NO_RIVAL, Evidence, SurfaceEvidence
 from pose_server.pairs.explained import count_places, explained
 from pose_server.pairs.hearing import ByClicks, Hearing
 from pose_server.pairs.pair import EXACT_SIGMAS, Pair
@@ -52,8 +52,9 @@ class PairResult:
     `suggested` (M, 4) pixels of both views, u_i v_i u_j v_j, that an operator might confirm, best
     first; only where it is not verified. `confirmed` by clicks: they determine a pose, and all that
     agree with each other agree with this one; `grown` from them: they are in it. `p_grave` is the
-    probability that the pose is gravely off, 1 where there is none; `rivals` are other (4, 4) poses
-    that the images support as well. `mirrored`: the views fit only if one of them is mirrored.
+    probability that the pose is gravely off, 1 where there is none; `evidence` is what speaks for
+    it by images, `surfaces` where one has none; `rivals` are other (4, 4) poses that these support
+    as well. `mirrored`: the views fit only if one of them is mirrored.
     `structure` is what of the world its matches rest on, in the frame of view i; `hearing` what
     became of the clicks it was made with, `by_clicks` the pose that these give by themselves, `icp`
     what ICP did or would have done. `twofold`: it would be verified, but another pose looks right
@@ -72,6 +73,7 @@ class PairResult:
     regression_count: int = 0
     start: str = "none"
     evidence: Evidence | None = None
+    surfaces: SurfaceEvidence | None = None
     timings_ms: dict[str, float] = field(default_factory=dict)
     depths: DepthErrors | None = None
     moving: tuple[Mask | None, Mask | None] = (None, None)

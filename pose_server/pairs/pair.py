@@ -44,11 +44,14 @@ class Pair:
         self.i, self.j, self.ratio_limit = i, j, ratio
         self.depth_m = 0.5 * (i.median_depth_m + j.median_depth_m)
         self.sigma = float(np.hypot(i.surface.depth_sigma, j.surface.depth_sigma))
+        self.looks = i.looks and j.looks  # else nothing can be matched by what it looks like
         self._guided: dict[tuple[bytes, float, bool], Indices] = {}
 
     @cached_property
     def ratio(self) -> Indices:
         """(M, 2) matches by descriptor alone, of points with depth, the most similar first."""
+        if not self.looks:
+            return NO_MATCHES
         i, j = self.i, self.j
         lifted_i, lifted_j = i.observed.lifted, j.observed.lifted
         looks_i, looks_j = i.descriptors[lifted_i], j.descriptors[lifted_j]
@@ -78,6 +81,8 @@ class Pair:
         """Matches around the predicted places of j's points in i, and of i's in j; the radius is a
         share of the depth.
         """
+        if not self.looks:
+            return NO_MATCHES
         key = T.tobytes(), radius, both_ways  # a pose is looked at by several steps
         known = self._guided.get(key)
         if known is None:

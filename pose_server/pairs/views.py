@@ -29,6 +29,7 @@ _COARSER = 1.4
 _SHAPE_RESOLUTION = 0.025  # share of the depth
 UP_SIGMA_RAD = 0.02  # of gravity by an accelerometer at rest, where the robot states none
 _ICP_PIXELS = 18.0  # lateral resolution of ICP, in pixels at the median depth
+_SHAPED_POINTS = 300  # fewer have no surface whose shape could be told
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,8 @@ class PreparedView:
         median_depth_m: of the cloud.
         up: (3,) unit vector against gravity in the camera frame, where the robot knows it.
         up_sigma_rad: its sigma.
+        looks: whether its salient points have descriptors: a cloud without an image has points at
+            which its surface bends most, which tell where something is, not what.
     """
 
     name: ViewName
@@ -86,6 +89,7 @@ class PreparedView:
     median_depth_m: float
     up: Floats | None = None
     up_sigma_rad: float = UP_SIGMA_RAD
+    looks: bool = True
     memo: dict[str, Any] = field(init=False, default_factory=dict)
     """What was found out about the view alone, by who did."""
 
@@ -153,6 +157,13 @@ def prepare_view(view: View) -> PreparedView:
     observed, descriptors = _observed(view.salient, empty)
     noise = point_noise(camera.noise)
     median = float(np.median(points.xyz[:, 2]))
+    measured = MeasuredCloud(
+        points.xyz, max(_ICP_PIXELS * median / observed.focal_px, 1e-3 * median)
+    )
+    looks = view.salient.count > 0
+    if not looks:
+        observed = _shaped(observed, measured, noise, median)
+        descriptors = np.zeros((len(observed.uv), 0), np.float32)
     surface = Surface(
         K=camera.K,
         size=observed.size,
@@ -161,18 +172,31 @@ def prepare_view(view: View) -> PreparedView:
         sample=_sample(points.xyz, _SAMPLE_POINTS),
         depth_sigma=float(noise.depth_sigma(np.array(median))) / median,
     )
-    lateral = _ICP_PIXELS * median / observed.focal_px
     return PreparedView(
         name=view.name,
         observed=observed,
         descriptors=descriptors,
         surface=surface,
-        measured=MeasuredCloud(points.xyz, max(lateral, 1e-3 * median)),
+        measured=measured,
         noise=noise,
         median_depth_m=median,
         up=view.up_camera,
         up_sigma_rad=view.up_sigma_rad or UP_SIGMA_RAD,
+        looks=looks,
     )
+
+
+def _shaped(
+    observed: Observed, measured: MeasuredCloud, noise: PointNoise, depth_m: float
+) -> Observed:
+    """The salient points of a cloud without an image: where its surface bends most; of a few
+    points, all of them.
+    """
+    points = measured.points
+    if len(points) >= _SHAPED_POINTS:
+        points = measured.shapes(depth_m).points
+    sigma = float(noise.depth_sigma(np.array(depth_m))) / depth_m
+    return observed.with_points(points[points[:, 2] > 0], sigma)
 
 
 def _observed(salient: Salient, of: Observed) -> tuple[Observed, npt.NDArray[np.float32]]:

@@ -61,6 +61,7 @@ class Frame:
         model: intrinsics, extrinsics and noise of this very frame.
         up_camera: unit vector against gravity in the camera frame, where it is known.
         raw: the images as a live device gave them, of each eye; empty where they are recorded.
+        has_image: whether the image is one; else it is drawn of the ranges, for operators.
         frozen_s: for how long these have been identical to the last bit; `FleetRobot` looks.
     """
 
@@ -72,6 +73,7 @@ class Frame:
     up_sigma_rad: float | None = None
     raw: tuple[npt.NDArray[np.uint8], ...] = ()
     frozen_s: float = 0.0
+    has_image: bool = True
 
 
 class Camera(Protocol):

@@ -11,10 +11,11 @@ from typing import Any, Literal
 
 from robot_agent.cameras.base import Camera
 
-CameraKind = Literal["rgbd", "views", "bundler", "stereo", "synthetic"]
+CameraKind = Literal["rgbd", "views", "bundler", "cloud", "stereo", "synthetic"]
 _OPTIONS = {
     "views": ("clouds", "view"),
     "bundler": ("view", "metres_per_unit"),
+    "cloud": ("axes", "metres_per_unit"),
     "stereo": ("calibration", "video", "stop"),
 }
 
@@ -27,6 +28,7 @@ def open_camera(
     clouds: str | None = None,
     view: str | None = None,
     metres_per_unit: float = 1.0,
+    axes: Literal["robot", "optical"] = "robot",
     calibration: Path | None = None,
     video: Any = None,
     stop: threading.Event | None = None,
@@ -39,7 +41,8 @@ def open_camera(
         replay: `once`, `loop`, `pingpong` or `hold`, for recordings.
         clouds: posed views only, which kind of clouds to take.
         view: posed views and Bundler's folders, the one view to take.
-        metres_per_unit: Bundler's folders, whose scale is arbitrary.
+        metres_per_unit: Bundler's folders, whose scale is arbitrary, and clouds.
+        axes: clouds only, `robot` or `optical`.
         calibration: stereo only, its file.
         video: stereo only, `robot_agent.cameras.video.VideoSettings`.
         stop: stereo only, ends the waiting for a device.
@@ -51,6 +54,7 @@ def open_camera(
         "clouds": clouds,
         "view": view,
         "metres_per_unit": metres_per_unit,
+        "axes": axes,
         "calibration": calibration,
         "video": video,
         "stop": stop,
