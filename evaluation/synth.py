@@ -235,6 +235,8 @@ def _matched(frame: Frame, right: npt.NDArray[np.uint8]) -> tuple[Floats, Floats
     (left_points, left), (right_points, other) = (
         sift.detectAndCompute(image, None) for image in (frame.image, right)
     )
+    if min(len(left_points), len(right_points)) < 2:
+        return np.zeros((0, 2)), np.zeros(0)  # an eye before a bare wall
     matches = cv2.BFMatcher(cv2.NORM_L2).knnMatch(left, other, k=2)
     clear = [m for m, n in matches if m.distance < _MATCH_RATIO * n.distance]
     uv = np.array([left_points[m.queryIdx].pt for m in clear]).reshape(-1, 2)

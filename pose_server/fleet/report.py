@@ -88,7 +88,8 @@ def _nodes(
                 None if link is None else state.nodes[link.a],
                 covariance,
                 why,
-                grave[r.node],
+                # held by a link alone that was found wrong in the last round: nothing vouches for it
+                grave.get(r.node, 1.0),
             )
     return poses
 

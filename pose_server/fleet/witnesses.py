@@ -11,6 +11,10 @@ as two witnesses only if
   place are taken to agree always (a courtyard with two alike wings has one way only to be wrong),
   so that n edges that agree are either all right or wrong together.
 
+A link that alone joins two parts is sure only as far as the others between them agree with it.
+Views of two alike halls make links that say the same, each with its own chance: one that is sure by
+luck among many that doubt is no better than all of them on the average, for all are right or wrong.
+
 A place that is symmetric as a whole passes the first test and not the second: each of its pairs is
 known to be as likely an alias as not, and however many of these agree, they remain so.
 """
@@ -33,6 +37,8 @@ Structures = tuple[Floats, Floats]
 
 _NEVER = 1e-9  # no link is surer
 _SURE, _MOST_CONFIRMED = 0.005, 16  # links below it need no confirmation; so many are looked at
+_POOR = 0.2  # a link that is likelier wrong speaks against those that say the same
+_MOST_TOLD = 7.0  # log odds, at most, that one link has a say with
 
 
 def independent(structures: Sequence[Structure | None]) -> bool:
@@ -75,11 +81,40 @@ def along_surest_ways(
     """
     p_grave = [link.p_grave for link in links]
     _, taken = _surest(roots, links, p_grave)
-    doubtful = sorted((k for k in taken if p_grave[k] > _SURE), key=lambda k: -p_grave[k])
+    _doubt_lone_joins(links, taken, p_grave)
+    _, taken = _surest(roots, links, p_grave)
+    doubtful = sorted((k for k, _ in taken if p_grave[k] > _SURE), key=lambda k: -p_grave[k])
     if doubtful:
         _confirm(links, poses, doubtful[:_MOST_CONFIRMED], p_grave)
     costs, _ = _surest(roots, links, p_grave)
     return {node: -math.expm1(-cost) for node, cost in costs.items()}
+
+
+def _doubt_lone_joins(
+    links: Sequence[Link], taken: Sequence[tuple[int, int]], p_grave: list[float]
+) -> None:
+    """Raises the probabilities of links that alone join two parts to what all links between these
+    parts say on the average; they agree, since all are used.
+
+    Args:
+        links: all of them.
+        taken: the links of a tree, root first, each with the node that it leads to.
+        p_grave: of the links.
+    """
+    a, b = np.array([(link.a, link.b) for link in links], np.int64).reshape(-1, 2).T
+    chance = np.array(p_grave)
+    odds = np.clip(np.log(chance + _NEVER) - np.log1p(_NEVER - chance), -_MOST_TOLD, _MOST_TOLD)
+    beyond: dict[int, set[int]] = {}
+    for k, node in reversed(taken):
+        nodes = beyond.setdefault(node, set()) | {node}
+        beyond.setdefault(links[k].a + links[k].b - node, set()).update(nodes)
+        inside = np.isin(a, list(nodes)), np.isin(b, list(nodes))
+        across = inside[0] != inside[1]
+        across[k] = False
+        if links[k].structure is None or not across.any() or chance[across].min() < _POOR:
+            continue
+        across[k] = True
+        p_grave[k] = max(p_grave[k], float(1.0 / (1.0 + np.exp(-odds[across].mean()))))
 
 
 def _confirm(
@@ -123,9 +158,9 @@ def _confirming(links: Sequence[Link], at: Structures, k: int) -> npt.NDArray[np
 
 def _surest(
     roots: Sequence[int], links: Sequence[Link], p_grave: Sequence[float]
-) -> tuple[dict[int, float], list[int]]:
+) -> tuple[dict[int, float], list[tuple[int, int]]]:
     """The cost -log(1 - p) of the surest way to each node, and the numbers of the links on these
-    ways.
+    ways with the nodes that they lead to, the nearest first.
     """
     neighbours: dict[int, list[tuple[int, float, int]]] = defaultdict(list)
     for k, link in enumerate(links):
@@ -133,7 +168,7 @@ def _surest(
         neighbours[link.a].append((link.b, cost, k))
         neighbours[link.b].append((link.a, cost, k))
     found: dict[int, float] = {}
-    taken: list[int] = []
+    taken: list[tuple[int, int]] = []
     queue = [(0.0, root, -1) for root in roots]
     heapq.heapify(queue)
     while queue:
@@ -142,7 +177,7 @@ def _surest(
             continue
         found[node] = cost
         if by >= 0:
-            taken.append(by)
+            taken.append((by, node))
         for other, more, k in neighbours[node]:
             heapq.heappush(queue, (cost + more, other, k))
     return found, taken

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from pose_server.fleet import report
 from pose_server.fleet.graph import solve_fleet
 from pose_server.fleet.witnesses import all_grave, independent, some_grave
 from pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
@@ -158,3 +159,45 @@ def test_what_is_known_of_an_edge_is_told_from_its_other_end_as_well():
     in_world = one.structure.seen_from(TRUTH[0])
     T_4_0 = inverse(TRUTH[4]) @ TRUTH[0]
     assert np.allclose(one.structure.seen_from(T_4_0).seen_from(TRUTH[4]).centre, in_world.centre)
+
+
+def between(*p_grave):
+    """r0, r1 and r2 hang together, r4, r5 and r6 do; links between that say the same."""
+    sure = [edge(NODES, TRUTH, a, b, None) for a, b in ((0, 1), (1, 2), (4, 5), (5, 6))]
+    pairs = ((0, 4), (1, 5), (2, 6))
+    rests_on = thing(0.0)  # on the same: none is a witness for another
+    return sure + [
+        edge(
+            NODES, TRUTH, a, b, None, p_grave=p, rests_on=rests_on,
+            verdict="verified" if p < 0.03 else "plausible",
+        )
+        for (a, b), p in zip(pairs, p_grave, strict=False)
+    ]  # fmt: skip
+
+
+def chance_of(solution, node):
+    return solution.nodes[NODES[node]].p_grave
+
+
+def test_a_lone_sure_link_among_links_that_doubt_is_doubted():
+    alone, doubted = (chance_of(solve(between(0.002, *more)), 5) for more in ((), (0.5, 0.8)))
+    assert alone < 0.03
+    assert doubted > 0.05
+
+
+def test_two_sure_links_are_not_doubted_for_a_third_that_is_not():
+    assert chance_of(solve(between(0.002, 0.002, 0.8)), 5) < 0.03
+
+
+def test_doubt_reaches_everybody_beyond_the_link_and_nobody_before_it():
+    solution = solve(between(0.002, 0.5, 0.8))
+    assert all(chance_of(solution, node) > 0.05 for node in (4, 5, 6))
+    assert all(chance_of(solution, node) < 0.03 for node in (1, 2))
+
+
+def test_who_is_held_by_nothing_that_is_used_is_not_vouched_for(monkeypatch):
+    """Rounds of splitting may run out before a node is let go whose only link was found wrong."""
+    monkeypatch.setattr(report, "along_surest_ways", lambda *_: {0: 0.0})
+    solution = solve([edge(NODES, TRUTH, 0, 1, None)])
+    assert chance_of(solution, 0) == 0.0
+    assert chance_of(solution, 1) == 1.0
