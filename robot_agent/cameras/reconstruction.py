@@ -10,7 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from pydantic import ValidationError
 
+from protocol.errors import CalibrationError
 from protocol.messages import ROBOT_FROM_CAMERA, NoiseModel
 from protocol.messages import Camera as CameraModel
 from robot_agent.cameras.base import Frame, ScatteredPoints
@@ -40,7 +42,13 @@ class ReconstructedPhotos:
 
     def _frame(self, view: ReconstructedView) -> Frame:
         _, uv, p = self._model.measured(view)
-        model = CameraModel(
+        points = ScatteredPoints(np.asarray(uv, np.float64), np.asarray(p[:, 2], np.float64))
+        return Frame(time.time_ns(), view.picture(), points, _camera_model(view))
+
+
+def _camera_model(view: ReconstructedView) -> CameraModel:
+    try:
+        return CameraModel(
             width=view.width,
             height=view.height,
             K=np.asarray(view.K, np.float64),
@@ -48,8 +56,8 @@ class ReconstructedPhotos:
             noise=_NOISE,
             kind="views",
         )
-        points = ScatteredPoints(np.asarray(uv, np.float64), np.asarray(p[:, 2], np.float64))
-        return Frame(time.time_ns(), view.picture(), points, model)
+    except ValidationError as error:
+        raise CalibrationError(f"{view.image}: {error.errors()[0]['msg']}") from error
 
 
 def open_camera(

@@ -115,7 +115,7 @@ def _view(source: Path, photo: Photo, places: Sequence[Path]) -> ReconstructedVi
     width, height = image_size(image)
     if photo.size not in (None, (width, height)):
         raise DataFolderError(
-            f"{image} has {width}x{height} pixels, {source} says {photo.size}: give the images "
+            f"{image} has {(width, height)} pixels, {source} says {photo.size}: give the images "
             "that it was made of"
         )
     K = np.diag([*photo.focal_px, 1.0])

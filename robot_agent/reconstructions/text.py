@@ -15,9 +15,10 @@ def lines_of(path: Path) -> list[str]:
         DataFolderError: it is missing or no text.
     """
     try:
-        return [line.strip() for line in path.read_text().removesuffix("\n").split("\n")]
+        text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
         raise DataFolderError(f"{path} cannot be read: {error}") from error
+    return [line.strip() for line in text.removesuffix("\n").split("\n")]
 
 
 def numbers_of(path: Path, text: str) -> Floats:

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from protocol.errors import DataFolderError
+from protocol.errors import CalibrationError, DataFolderError
+from robot_agent.cameras.factory import open_camera
 from robot_agent.reconstructions.reading import find_reconstruction, read_reconstruction
 from tests.robot_agent.reconstruction_makers import (
     NAMES,
@@ -72,7 +73,14 @@ def test_images_of_another_size_are_refused_where_the_size_is_told(tmp_path):
     write_colmap(tmp_path)
     cameras = tmp_path / "sparse" / "0" / "cameras.txt"
     cameras.write_text(cameras.read_text().replace("320 240", "640 480"))
-    refused(tmp_path, "320x240 pixels")
+    refused(tmp_path, r"\(320, 240\) pixels.*\(640, 480\)")
+
+
+def test_a_focal_length_that_is_of_no_camera_is_refused_by_the_agent(tmp_path):
+    write_colmap(tmp_path)
+    (tmp_path / "sparse" / "0" / "cameras.txt").write_text("4 PINHOLE 320 240 3 500 160 120\n")
+    with pytest.raises(CalibrationError, match=r"photo0\.jpg.*focal lengths"):
+        list(open_camera("reconstruction", str(tmp_path), "once").frames())
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """Reconstructions are read as they are, whoever wrote them, and what is wrong is a sentence."""
 
+import struct
+
 import cv2
 import numpy as np
 import pytest
@@ -52,6 +54,20 @@ def test_the_image_is_undistorted_as_its_pixels_are(tmp_path, kind):
         measured = measured_by_visualsfm(k) if kind == "nvm" else SCENE.distorted(k)
         assert np.abs(pixels[:, 0] - view.K[:2, 2] - measured).max() < 1e-4
         assert view.picture().shape == (*SCENE.size[::-1], 3)
+
+
+def test_images_lie_as_their_pixels_do_whatever_they_say_of_up(tmp_path):
+    """These programs do not turn images either."""
+    write_bundler(tmp_path)
+    turned = b"Exif\0\0II*\0\x08\0\0\0\x01\0" + struct.pack("<HHIII", 0x0112, 3, 1, 6, 0)
+    for name in NAMES:
+        jpeg = (tmp_path / name).read_bytes()
+        segment = b"\xff\xe1" + struct.pack(">H", len(turned) + 2) + turned
+        (tmp_path / name).write_bytes(jpeg[:2] + segment + jpeg[2:])
+    assert cv2.imread(str(tmp_path / NAMES[0])).shape[:2] == SCENE.size  # it does say so
+    view = read_reconstruction(tmp_path).views[0]
+    assert (view.width, view.height) == SCENE.size
+    assert view.picture().shape[:2] == SCENE.size[::-1]
 
 
 def test_metres_per_unit_scale_points_and_poses_alike(tmp_path, kind):
