@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from evaluation import live
-from evaluation.options import Clouds, Data, Mistakes, Out, Unique, World
+from evaluation.options import Clouds, Data, MetresPerUnit, Mistakes, Out, Unique, World, only_one
 from evaluation.options import numbers as _numbers
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, rich_markup_mode=None)
@@ -33,6 +33,7 @@ def pairs(
     data: Data,
     out: Out,
     clouds: Clouds = None,
+    metres_per_unit: MetresPerUnit = None,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
     limit: Annotated[int | None, typer.Option(min=1, help="So many pairs, spread evenly.")] = None,
     mirror_share: Annotated[
@@ -44,7 +45,9 @@ def pairs(
 ) -> None:
     """Align every pair of a recording, automatically, and compare with the truth."""
     from evaluation.pairs import run
+    from evaluation.reconstructed import in_metres
 
+    data = in_metres(data, metres_per_unit)
     run(data, clouds.value if clouds else None, out, workers, limit, mirror_share, images)
 
 
@@ -67,6 +70,7 @@ def align(
     data: Data,
     out: Out,
     clouds: Clouds = None,
+    metres_per_unit: MetresPerUnit = None,
     workers: Annotated[
         int, typer.Option(min=1, help="Pairs at a time; more than one spoils the times.")
     ] = 1,
@@ -77,7 +81,9 @@ def align(
 ) -> None:
     """Align pairs that see enough of the same, beside Open3D and KISS-Matcher with GICP."""
     from evaluation.align import run
+    from evaluation.reconstructed import in_metres
 
+    data = in_metres(data, metres_per_unit)
     run(data, clouds.value if clouds else None, out, workers, limit, min_overlap)
 
 
@@ -86,6 +92,7 @@ def ring(
     data: Data,
     out: Out,
     clouds: Clouds = None,
+    metres_per_unit: MetresPerUnit = None,
     recipe: Annotated[
         RecipeOption,
         typer.Option(help="paper: its method alone; full: the server's; both: side by side."),
@@ -111,9 +118,10 @@ def ring(
     OUT/full. Quick: --clicks 0,3 --draws 3.
     """
     from evaluation.interaction.ring import RingOptions, run
+    from evaluation.reconstructed import in_metres
 
     options = RingOptions(
-        data=data,
+        data=in_metres(data, metres_per_unit),
         clouds=clouds.value if clouds else None,
         recipe=recipe.value,
         clicks=tuple(_numbers("--clicks", clicks)),
@@ -131,6 +139,7 @@ def clicks(
     data: Data,
     out: Out,
     clouds: Clouds = None,
+    metres_per_unit: MetresPerUnit = None,
     clicks: Annotated[
         str, typer.Option(help="Per pair; with --consistent-wrong also from..to, e.g. 3..6.")
     ] = "3",
@@ -165,13 +174,14 @@ def clicks(
     added afterwards win.
     """
     from evaluation.interaction.clicks import ClicksOptions, run
+    from evaluation.reconstructed import in_metres
 
     low, high = _numbers("--angles", angles, 2)
     fewest, most = _from_to("--clicks", clicks)
     if fewest < most and not consistent_wrong:
         raise typer.BadParameter(f"--clicks {clicks}: from..to goes with --consistent-wrong")
     options = ClicksOptions(
-        data=data,
+        data=in_metres(data, metres_per_unit),
         clouds=clouds.value if clouds else None,
         clicks=fewest,
         wrong=wrong,
@@ -268,6 +278,7 @@ def questions(
     data: Data,
     out: Out,
     clouds: Clouds = None,
+    metres_per_unit: MetresPerUnit = None,
     seeds: Annotated[int, typer.Option(min=1, help="Fleets, each drawn by a seed.")] = 20,
     first: Annotated[int, typer.Option(min=0, help="The first seed.")] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
@@ -283,8 +294,10 @@ def questions(
     among right ones. Writes runs.csv, summary.json and clicks.png.
     """
     from evaluation.questions.command import QuestionsOptions, run
+    from evaluation.reconstructed import in_metres
 
     kind = clouds.value if clouds else None
+    data = in_metres(data, metres_per_unit)
     options = QuestionsOptions(data, kind, seeds, first, workers, mistakes)
     run(options, out)
 
@@ -329,6 +342,7 @@ def operate(
         Path | None, typer.Option(help="Recording; default: the synthetic world.")
     ] = None,
     clouds: Clouds = None,
+    metres_per_unit: MetresPerUnit = None,
     robots: Annotated[int, typer.Option(min=2, help="The last one is kept apart.")] = 3,
     first: Annotated[int, typer.Option(min=0, help="The first view.")] = 0,
     points: Annotated[int, typer.Option(min=1, help="Points to click.")] = 3,
@@ -342,11 +356,13 @@ def operate(
     """Join a fleet in two pieces by keys alone: the text client in a real terminal (tmux), and a
     simulated person who sees what is on it. Writes every screen and summary.json.
     """
+    from evaluation.reconstructed import all_in_metres
     from evaluation.terminal.operate import OperateOptions, run
     from hmi_client.commands import size_of
 
     kind = clouds.value if clouds else None
     how = (by_hand, kill_server, *size_of(size))
+    data = only_one("--data", all_in_metres([data] if data else [], metres_per_unit))
     run(OperateOptions(data, kind, robots, first, points, *how, theme), out)
 
 
@@ -363,11 +379,14 @@ def wire(
     data: Data,
     out: Out,
     clouds: Clouds = None,
+    metres_per_unit: MetresPerUnit = None,
     views: Annotated[int, typer.Option(min=1, help="So many, spread evenly.")] = 10,
 ) -> None:
     """Measure the cloud codecs beside PNG, Draco and raw numbers."""
+    from evaluation.reconstructed import in_metres
     from evaluation.wire import run
 
+    data = in_metres(data, metres_per_unit)
     run(data, clouds.value if clouds else None, out, views)
 
 

@@ -95,17 +95,18 @@ def _tracks(path: Path) -> tuple[npt.NDArray[np.int64], Floats] | None:
 
 def open_recording(directory: Path, clouds: CloudKind | None = None) -> Recording:
     """Opens a posed-views folder (`cameras.json`), an RGB-D folder (`camera-intrinsics.txt`) or a
-    reconstruction by Bundler (`bundle.out`).
+    reconstruction by COLMAP, Bundler or VisualSfM.
 
     Args:
-        directory: the folder.
-        clouds: which clouds of a posed-views folder to use; `sparse_noisy` if not told.
+        directory: the folder; of a reconstruction also its file.
+        clouds: which clouds of a posed-views folder to use; the only ones, else `sparse_noisy`, if
+            not told.
 
     Raises:
         DataFolderError: it is neither, or a file is missing or cannot be read.
     """
     if (directory / "cameras.json").is_file():
-        return _open_posed_views(directory, clouds or "sparse_noisy")
+        return _open_posed_views(directory, clouds)
     if (directory / "camera-intrinsics.txt").is_file():
         if clouds is not None:
             raise DataFolderError(f"{directory} is an RGB-D folder: leave --clouds out")
@@ -116,16 +117,14 @@ def open_recording(directory: Path, clouds: CloudKind | None = None) -> Recordin
         if clouds is not None:
             raise DataFolderError(f"{directory} holds scans: leave --clouds out")
         return open_scans(directory)
-    from evaluation.reconstructed import as_posed_views, is_reconstruction
+    from evaluation.reconstructed import as_posed_views, find_reconstruction
 
-    if is_reconstruction(directory):
-        if clouds not in (None, "sparse"):
-            raise DataFolderError(f"{directory} is a reconstruction: its clouds are sparse")
-        return _open_posed_views(as_posed_views(directory), "sparse")
+    if find_reconstruction(directory) is not None:
+        return _open_posed_views(as_posed_views(directory), clouds)
     raise DataFolderError(
         f"{directory} is no recording: it holds neither cameras.json (posed views), nor "
-        "camera-intrinsics.txt (RGB-D frames), nor bundle.out (a reconstruction by Bundler), nor "
-        "poses.txt or T_target_source.txt (scans)"
+        "camera-intrinsics.txt (RGB-D frames), nor poses.txt or T_target_source.txt (scans), nor a "
+        "reconstruction by COLMAP, Bundler or VisualSfM"
     )
 
 
@@ -214,13 +213,14 @@ def _json(path: Path) -> Any:
         raise DataFolderError(f"{path} cannot be read: {error}") from error
 
 
-def _open_posed_views(directory: Path, clouds: CloudKind) -> Recording:
-    folder = directory / clouds
-    if not folder.is_dir():
-        there = [kind for kind in CLOUD_KINDS if (directory / kind).is_dir()]
+def _open_posed_views(directory: Path, clouds: CloudKind | None) -> Recording:
+    there: list[CloudKind] = [kind for kind in CLOUD_KINDS if (directory / kind).is_dir()]
+    clouds = clouds or (there[0] if len(there) == 1 else "sparse_noisy")
+    if clouds not in there:
         raise DataFolderError(
             f"{directory} has no clouds '{clouds}'; --clouds can be {', '.join(there)}"
         )
+    folder = directory / clouds
     index_path = folder / "index.json"
     partners = _json(index_path) if index_path.exists() else {}
     entries = _json(directory / "cameras.json")

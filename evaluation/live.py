@@ -5,7 +5,16 @@ from typing import Annotated, Literal
 
 import typer
 
-from evaluation.options import Clouds, Mistakes, Out, Unique, World, numbers, only_one
+from evaluation.options import (
+    Clouds,
+    MetresPerUnit,
+    Mistakes,
+    Out,
+    Unique,
+    World,
+    numbers,
+    only_one,
+)
 
 app = typer.Typer()
 
@@ -22,6 +31,7 @@ def fleet(
         typer.Option(help="Recording with ground truth; else the synthetic world. Offline: any."),
     ] = None,
     clouds: Clouds = None,
+    metres_per_unit: MetresPerUnit = None,
     views: Annotated[
         str, typer.Option(help="A,B,C: one robot stands at each of these views of a recording.")
     ] = "",
@@ -58,12 +68,15 @@ def fleet(
     until nothing is left to align. Prints a line for each recording, the worst first, and every
     robot that is located and gravely off; writes summary.json and robots.csv.
     """
+    from evaluation.reconstructed import all_in_metres
+
+    sets = all_in_metres(data or (), metres_per_unit)
     kind = clouds.value if clouds else None
     named = tuple(numbers("--views", views)) if views else ()
     if offline:
         from evaluation.offline import command
 
-        drawn = command.OfflineOptions(tuple(data or ()), kind, seeds, robots, named, workers)
+        drawn = command.OfflineOptions(sets, kind, seeds, robots, named, workers)
         command.run(drawn, out)
         return
     from evaluation.fleet import FleetOptions, run
@@ -71,7 +84,7 @@ def fleet(
     options = FleetOptions(
         robots=robots or 6,
         seconds=seconds,
-        data=only_one("--data", data),
+        data=only_one("--data", sets),
         clouds=kind,
         views=named,
         first=first,
@@ -101,6 +114,7 @@ def restarts(
         typer.Option(help="Recording; each fleet begins at another view of it. Repeatable."),
     ] = None,
     clouds: Clouds = None,
+    metres_per_unit: MetresPerUnit = None,
     workers: Annotated[int, typer.Option(min=1, help="Alignment processes.")] = 2,
     seed: Annotated[int, typer.Option(help="Of the first synthetic world; then one more.")] = 0,
     offline: Annotated[
@@ -114,9 +128,10 @@ def restarts(
     camera were tracked by that camera: they are judged against 0.05 m of noise in their own poses,
     and it is said.
     """
+    from evaluation.reconstructed import all_in_metres
     from evaluation.restarts import RestartsOptions, run
 
-    kind, sets = clouds.value if clouds else None, tuple(data or ())
+    kind, sets = clouds.value if clouds else None, all_in_metres(data or (), metres_per_unit)
     run(RestartsOptions(restarts, robots, seconds, sets, kind, workers, seed, offline), out)
 
 

@@ -31,10 +31,17 @@ class WorldOption(StrEnum):
     weak = "weak"
 
 
-Data = Annotated[Path, typer.Option(help="Posed-views or RGB-D folder with ground truth.")]
+Data = Annotated[
+    Path,
+    typer.Option(help="Posed-views or RGB-D folder with ground truth, or a reconstruction."),
+]
+MetresPerUnit = Annotated[
+    float | None,
+    typer.Option(help="Scale of a reconstruction (COLMAP, Bundler, VisualSfM). [default: 1]"),
+]
 Clouds = Annotated[
     CloudsOption | None,
-    typer.Option(help="Clouds of a posed-views folder; sparse_noisy if not told."),
+    typer.Option(help="Clouds of a posed-views folder; else the only ones, or sparse_noisy."),
 ]
 Out = Annotated[Path, typer.Option(help="Folder for the results; it is made.")]
 World = Annotated[

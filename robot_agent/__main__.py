@@ -39,7 +39,7 @@ def _agent() -> None:
 def run(
     name: Annotated[str | None, typer.Option(help="The robot's name, unique in its site.")] = None,
     camera: Annotated[
-        str | None, typer.Option(help="rgbd, views, bundler, stereo or synthetic.")
+        str | None, typer.Option(help="rgbd, views, reconstruction, stereo or synthetic.")
     ] = None,
     data: Annotated[
         str | None, typer.Option(help="Folder, video, device (or left,right) or endpoint.")
@@ -57,14 +57,14 @@ def run(
         str | None, typer.Option(help="Posed views: which clouds. [default: clouds]")
     ] = None,
     view: Annotated[
-        str | None, typer.Option(help="Posed views, Bundler's folders: only this view.")
+        str | None, typer.Option(help="Posed views, reconstructions: only this view.")
     ] = None,
     axes: Annotated[
         str | None,
         typer.Option(help="Clouds: robot (x ahead, z up) or optical (z ahead). [default: robot]"),
     ] = None,
     metres_per_unit: Annotated[
-        float | None, typer.Option(help="Bundler's folders, clouds: their scale. [default: 1]")
+        float | None, typer.Option(help="Reconstructions, clouds: their scale. [default: 1]")
     ] = None,
     connect: Annotated[
         list[str] | None, typer.Option(help="Router, repeatable. [default: tcp/127.0.0.1:7447]")

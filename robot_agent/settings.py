@@ -56,14 +56,14 @@ class RobotSettings(BaseSettings):
     )
     clouds: str | None = Field(None, description="kind of clouds; for posed views")
     view: str | None = Field(
-        None, description="the one view to show; for posed views and Bundler's folders"
+        None, description="the one view to show; for posed views and reconstructions"
     )
     axes: Literal["robot", "optical"] = Field(
         "robot",
         description="clouds: robot (x ahead, y left, z up) or optical (x right, y down, z ahead)",
     )
     metres_per_unit: float = Field(
-        1.0, gt=0, le=1e6, description="scale of a reconstruction; for Bundler's folders"
+        1.0, gt=0, le=1e6, description="for reconstructions, whose scale is arbitrary"
     )
     replay: ReplayMode = "once"
     rate_hz: float = Field(1.0, gt=0, le=100)

@@ -1,7 +1,7 @@
 """Opens a camera by its kind.
 
 A new kind is one new module here with a function `open_camera(source, replay)`; options of its own
-are named in `_OPTIONS`.
+are named in `_OPTIONS`. Bundler's folders had a kind of their own, whose name goes on working.
 """
 
 import threading
@@ -11,10 +11,10 @@ from typing import Any, Literal
 
 from robot_agent.cameras.base import Camera
 
-CameraKind = Literal["rgbd", "views", "bundler", "cloud", "stereo", "synthetic"]
+CameraKind = Literal["rgbd", "views", "reconstruction", "bundler", "cloud", "stereo", "synthetic"]
 _OPTIONS = {
     "views": ("clouds", "view"),
-    "bundler": ("view", "metres_per_unit"),
+    "reconstruction": ("view", "metres_per_unit"),
     "cloud": ("axes", "metres_per_unit"),
     "stereo": ("calibration", "video", "stop"),
 }
@@ -36,12 +36,13 @@ def open_camera(
     """Opens a camera.
 
     Args:
-        kind: the name of its module in `robot_agent.cameras`; only that one is imported.
+        kind: the name of its module in `robot_agent.cameras`, only that one is imported; `bundler`
+            is `reconstruction`.
         source: a folder, a file, a device or an endpoint, whatever the kind reads.
         replay: `once`, `loop`, `pingpong` or `hold`, for recordings.
         clouds: posed views only, which kind of clouds to take.
-        view: posed views and Bundler's folders, the one view to take.
-        metres_per_unit: Bundler's folders, whose scale is arbitrary, and clouds.
+        view: posed views and reconstructions, the one view to take.
+        metres_per_unit: reconstructions, whose scale is arbitrary, and clouds.
         axes: clouds only, `robot` or `optical`.
         calibration: stereo only, its file.
         video: stereo only, `robot_agent.cameras.video.VideoSettings`.
@@ -59,6 +60,7 @@ def open_camera(
         "video": video,
         "stop": stop,
     }
-    module = import_module(f"robot_agent.cameras.{kind}")
-    options = {name: given[name] for name in _OPTIONS.get(kind, ())}
+    name = "reconstruction" if kind == "bundler" else kind
+    module = import_module(f"robot_agent.cameras.{name}")
+    options = {option: given[option] for option in _OPTIONS.get(name, ())}
     return module.open_camera(source, replay, **options)

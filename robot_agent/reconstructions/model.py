@@ -12,6 +12,7 @@ from protocol.errors import DataFolderError
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
+Colours = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,11 +20,11 @@ class ReconstructedView:
     """One image of a reconstruction; its camera has OpenCV axes, and no distortion any more.
 
     Attributes:
-        name: of the image.
+        name: of the image, with the folders below that of all images.
         image: its file.
         width, height: px.
         K: (3, 3) of the undistorted image.
-        radial: k1 and k2 of the image as it is in the file.
+        distortion: OpenCV's vector, of the image as it is in the file.
         T_camera_world: (4, 4).
         seen: (N,) which points it saw.
         uv: (N, 2) where, px of the undistorted image.
@@ -34,21 +35,22 @@ class ReconstructedView:
     width: int
     height: int
     K: Floats
-    radial: tuple[float, float]
+    distortion: Floats
     T_camera_world: Floats
     seen: Indices
     uv: Floats
 
     def picture(self) -> npt.NDArray[np.uint8]:
-        """(H, W, 3) BGR, undistorted.
+        """(H, W, 3) BGR, undistorted; as the pixels lie in the file, whatever it says of up.
 
         Raises:
             DataFolderError: it cannot be read.
         """
-        picture = cv2.imread(str(self.image), cv2.IMREAD_COLOR)
+        as_it_lies = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+        picture = cv2.imread(str(self.image), as_it_lies)
         if picture is None:
             raise DataFolderError(f"{self.image} is no image, or is missing")
-        return np.asarray(cv2.undistort(picture, self.K, np.array([*self.radial, 0, 0])), np.uint8)
+        return np.asarray(cv2.undistort(picture, self.K, self.distortion), np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,7 @@ class Reconstruction:
 
     views: tuple[ReconstructedView, ...]
     points: Floats
-    colours: npt.NDArray[np.uint8]
+    colours: Colours
 
     def scaled(self, metres_per_unit: float) -> "Reconstruction":
         """The same in metres."""
@@ -73,6 +75,15 @@ class Reconstruction:
         T = view.T_camera_world
         return self.points[view.seen] @ T[:3, :3].T + T[:3, 3]
 
+    def measured(self, view: ReconstructedView) -> tuple[Indices, Floats, Floats]:
+        """What a camera could measure there: the points (N,) before it whose pixels (N, 2) lie in
+        the image, and (N, 3) where they are in its frame.
+        """
+        p = self.in_camera(view)
+        inside = (view.uv >= -0.5) & (view.uv < (view.width - 0.5, view.height - 0.5))
+        there = (p[:, 2] > 0) & inside.all(axis=1)
+        return view.seen[there], view.uv[there], p[there]
+
     @cached_property
     def reprojection_px(self) -> Floats:
         """Of all points in all views: how far from where they were seen they project."""
@@ -83,25 +94,3 @@ class Reconstruction:
         front = p[:, 2] > 0
         projected = p[front] @ view.K.T
         return np.linalg.norm(projected[:, :2] / projected[:, 2:] - view.uv[front], axis=1)
-
-
-def undistorted(uv: Floats, K: Floats, radial: tuple[float, float]) -> Floats:
-    """Pixels (N, 2) of a distorted image as pixels of the undistorted one with the same K."""
-    if len(uv) == 0:
-        return np.zeros((0, 2))
-    distortion = np.array([*radial, 0.0, 0.0])
-    turned = cv2.undistortPoints(np.ascontiguousarray(uv[:, None]), K, distortion, P=K)
-    return np.asarray(turned, np.float64).reshape(-1, 2)
-
-
-def image_size(path: Path) -> tuple[int, int]:
-    """Width and height of an image file.
-
-    Raises:
-        DataFolderError: it is missing or no image.
-    """
-    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if picture is None:
-        raise DataFolderError(f"{path} is no image, or is missing")
-    height, width = picture.shape
-    return width, height

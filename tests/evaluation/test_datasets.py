@@ -17,7 +17,6 @@ from evaluation.datasets import (
 from protocol.errors import DataFolderError
 from tests.data import shared_data
 from tests.evaluation.makers import K, write_posed_views, write_rgbd
-from tests.robot_agent.test_reconstructions import write as bundler_folder
 
 
 def test_posed_views_give_back_their_poses_and_cameras(tmp_path):
@@ -110,6 +109,14 @@ def test_clouds_that_are_not_there_are_refused_and_those_there_named(tmp_path):
         open_recording(tmp_path / "set", "stereo_dense")
 
 
+def test_the_only_clouds_there_need_no_name(tmp_path):
+    write_posed_views(tmp_path / "set")
+    assert open_recording(tmp_path / "set").clouds == "sparse_noisy"
+    for kind in ("sparse_noisy", "stereo_pair_sparse"):
+        (tmp_path / "set" / kind).rename(tmp_path / kind)
+    assert open_recording(tmp_path / "set").clouds == "sparse"
+
+
 def test_clouds_of_an_rgbd_folder_cannot_be_chosen(tmp_path):
     write_rgbd(tmp_path / "set")
     with pytest.raises(DataFolderError, match="leave --clouds out"):
@@ -136,15 +143,3 @@ def test_recorded_tracks_meet_where_the_true_poses_say():
     moved = points_of(i)[1][at_i] @ T_j_i[:3, :3].T + T_j_i[:3, 3]
     projected = (moved @ j.K.T)[:, :2] / moved[:, 2:]
     assert np.median(np.linalg.norm(projected - tracks_j[1][at_j], axis=1)) < 1.0
-
-
-def test_a_bundler_folder_is_a_recording(tmp_path):
-    recording = open_recording(bundler_folder(tmp_path), None)
-    assert recording.clouds == "sparse" and len(recording.usable) == 3
-    a, b = recording.usable[:2]
-    assert shared_tracks(recording, a, b) == 29
-    uv, p = points_of(a)
-    projected = p @ a.K.T
-    assert np.allclose(projected[:, :2] / projected[:, 2:], uv, atol=1e-3)
-    with pytest.raises(DataFolderError, match="sparse"):
-        open_recording(tmp_path, "stereo_dense")

@@ -1,0 +1,166 @@
+"""Photos as the files of all kinds tell of them, made into views."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path, PureWindowsPath
+
+import cv2
+import numpy as np
+
+from protocol.errors import DataFolderError
+from robot_agent.reconstructions.model import (
+    Floats,
+    Indices,
+    ReconstructedView,
+    Reconstruction,
+)
+
+_MOST_STEPS, _UNDISTORTED_TO = 50, 1e-10  # of OpenCV's iteration; of the focal length
+
+
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """One photo as a file tells of it; its camera has OpenCV axes.
+
+    Attributes:
+        name: what the file calls its image, which may be a path.
+        focal_px: (2,) along x and y; a photo that was not registered has none above 0.
+        distortion: OpenCV's vector (4,) or (8,).
+        T_camera_world: (4, 4).
+        seen: (N,) which points it saw.
+        at: (N, 2) where, px of the image as it is, from the principal point, y down.
+        centre: (2,) the principal point, px; the middle of the image if none.
+        size: width and height, px, if the file tells them.
+    """
+
+    name: str
+    focal_px: Floats
+    distortion: Floats
+    T_camera_world: Floats
+    seen: Indices
+    at: Floats
+    centre: Floats | None = None
+    size: tuple[int, int] | None = None
+
+    @property
+    def bare_name(self) -> str:
+        """Without folders; the file may come from another machine, of another system."""
+        return PureWindowsPath(self.name).name
+
+    def is_called(self, name: str | None) -> bool:
+        """Whether it goes by that name, with or without folders and ending; all do by none."""
+        return name in (None, self.name, self.bare_name, Path(self.bare_name).stem)
+
+
+def reconstruction_of(
+    source: Path,
+    photos: Sequence[Photo],
+    points: Floats,
+    colours: Floats,
+    places: Sequence[Path],
+    only: str | None,
+) -> Reconstruction:
+    """What a file tells, as views whose images are there.
+
+    Args:
+        source: the file.
+        photos: all that it tells of.
+        points: (P, 3).
+        colours: (P, 3), 0 to 255.
+        places: folders that images may lie in, the likeliest first.
+        only: name of the one image to take; all if not given.
+
+    Raises:
+        DataFolderError: no photo is registered, an image is missing or of another size, or numbers
+            are not what they should be; the text names it.
+    """
+    if not (np.isfinite(points).all() and all(_is_finite(photo) for photo in photos)):
+        raise DataFolderError(f"{source} holds numbers that are not finite")
+    chosen = [
+        photo
+        for photo in photos
+        if (photo.focal_px > 0).all() and len(photo.seen) and photo.is_called(only)
+    ]
+    if not chosen:
+        which = "no photo" if only is None else f"no photo '{only}'"
+        raise DataFolderError(f"{source}: {which} is registered and sees a point")
+    views = tuple(_view(source, photo, places) for photo in chosen)
+    if len({view.image for view in views}) < len(views):
+        raise DataFolderError(f"{source}: several of its photos have the same image file")
+    return Reconstruction(views, points, np.clip(colours, 0, 255).astype(np.uint8))
+
+
+def pose_of(quat_wxyz: Floats, t: Floats) -> Floats:
+    """(4, 4) the pose of a rotation, (4,) of any length, and a translation; a quaternion of zeros,
+    which is no rotation, becomes a matrix of zeros, which is none either.
+    """
+    w, v = quat_wxyz[0], quat_wxyz[1:]
+    turn = (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * np.cross(np.eye(3), v)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = turn / (quat_wxyz @ quat_wxyz or 1.0), t
+    return T
+
+
+def _is_finite(photo: Photo) -> bool:
+    centre = np.zeros(2) if photo.centre is None else photo.centre
+    numbers = (photo.focal_px, photo.distortion, photo.T_camera_world, photo.at, centre)
+    return all(np.isfinite(one).all() for one in numbers)
+
+
+def _view(source: Path, photo: Photo, places: Sequence[Path]) -> ReconstructedView:
+    R = photo.T_camera_world[:3, :3]
+    if not np.allclose(R @ R.T, np.eye(3), atol=1e-3) or np.linalg.det(R) < 0:
+        raise DataFolderError(f"{source}: the camera of {photo.name} has no rotation")
+    name, image = _found(source, photo, places)
+    width, height = image_size(image)
+    if photo.size not in (None, (width, height)):
+        raise DataFolderError(
+            f"{image} has {(width, height)} pixels, {source} says {photo.size}: give the images "
+            "that it was made of"
+        )
+    K = np.diag([*photo.focal_px, 1.0])
+    K[:2, 2] = (0.5 * (width - 1), 0.5 * (height - 1)) if photo.centre is None else photo.centre
+    uv = _undistorted(photo.at + K[:2, 2], K, photo.distortion)
+    return ReconstructedView(
+        name, image, width, height, K, photo.distortion, photo.T_camera_world, photo.seen, uv
+    )
+
+
+def _found(source: Path, photo: Photo, places: Sequence[Path]) -> tuple[str, Path]:
+    """The image and its name below its folder; the file may tell a path of another machine."""
+    absolute = Path(photo.name).is_absolute()
+    for name in (photo.name, photo.bare_name):
+        for place in places:
+            if _is_file(place / name):
+                return photo.bare_name if absolute else Path(name).as_posix(), place / name
+    where = " or ".join(map(str, places))
+    raise DataFolderError(f"{source}: there is no image {photo.name} in {where}")
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # no name that a file can have
+        return False
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height of an image file.
+
+    Raises:
+        DataFolderError: it is no image.
+    """
+    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    if picture is None:
+        raise DataFolderError(f"{path} is no image")
+    height, width = picture.shape
+    return width, height
+
+
+def _undistorted(uv: Floats, K: Floats, distortion: Floats) -> Floats:
+    """Pixels (N, 2) of a distorted image as pixels of the undistorted one with the same K."""
+    until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _MOST_STEPS, _UNDISTORTED_TO)
+    turned = cv2.undistortPoints(
+        np.ascontiguousarray(uv[:, None], np.float64), K, distortion, P=K, criteria=until
+    )
+    return np.asarray(turned, np.float64).reshape(-1, 2)
