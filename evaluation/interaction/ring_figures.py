@@ -1,7 +1,8 @@
-"""The pictures of `pose-eval ring`: the paper's Figs. 9 and 10, with its statements below them."""
+"""The pictures of `pose-eval ring`: the paper's Figs. 9 and 10, a row per recipe, with the paper's
+statements below.
+"""
 
-import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,12 @@ from evaluation.geometry import Floats
 from evaluation.interaction.statements import statements
 from evaluation.report import new_figure
 
-RECIPES = {"full": "-", "paper": "--"}
-"""Recipes that are drawn, and how their lines look."""
+RECIPES = ("full", "paper")
+"""Recipes that are drawn, from top to bottom."""
 _MOST_TICKS = 12  # more numbers of robots do not fit below an axis
-_WIDTH, _HEIGHT = 4.6, 5.2  # of one panel, inches
-_DARKEST, _BRIGHTEST = 0.0, 0.9  # of the colours; the brightest yellow is too pale on white
+_WIDTH, _HEIGHT = 4.6, 3.4  # of one panel, inches
+_LINE = 0.17  # of text, inches
+_BRIGHTEST = 0.9  # of the colours; the yellow beyond it is too pale on white
 
 
 def plot_error_and_success(path: Path, summaries: Mapping[str, dict[str, Any]]) -> None:
@@ -23,15 +25,16 @@ def plot_error_and_success(path: Path, summaries: Mapping[str, dict[str, Any]]) 
     clicks.
     """
     panels = {
-        "position_error_m": "mean position error of all robots, m",
-        "position_error_median_m": "median position error of all robots, m",
+        "position_error_m": "mean error of all robots, m",
+        "position_error_median_m": "median error of all robots, m",
         "success": "share of pairs that are ok",
     }
     figure, axes = _panels(panels, summaries)
-    axes[0].sharey(axes[1])
-    _logarithmic(axes[:2])
-    axes[2].set(ylim=(0, 1.03))
-    _say(figure, summaries, ("position_error_m", "position_error_median_m"))
+    _logarithmic(axes[:, :2].ravel())
+    low, high = zip(*(one.get_ylim() for one in axes[0, :2]), strict=True)
+    for one in axes[0, :2]:  # the rows below follow
+        one.set(ylim=(min(low), max(high)))
+    axes[0, 2].set(ylim=(0, 1.03))
     figure.savefig(path)
 
 
@@ -39,45 +42,48 @@ def plot_times(path: Path, summaries: Mapping[str, dict[str, Any]]) -> None:
     """Fig. 10: milliseconds of ICP, and of the whole alignment, over separation."""
     panels = {"icp_ms": "ICP, ms per pair", "align_ms": "whole alignment, ms per pair"}
     figure, axes = _panels(panels, summaries)
-    _logarithmic(axes)
-    _say(figure, summaries, ("icp_ms",))
+    _logarithmic(axes.ravel())
     figure.savefig(path)
 
 
-def _panels(
-    panels: Mapping[str, str], summaries: Mapping[str, dict[str, Any]]
-) -> tuple[Any, Sequence[Any]]:
-    """A figure with a panel per column of the table, side by side, and one legend for all."""
-    figure, only = new_figure(_WIDTH * len(panels), _HEIGHT)
+def _panels(panels: Mapping[str, str], summaries: Mapping[str, dict[str, Any]]) -> tuple[Any, Any]:
+    """A figure with a row of panels per recipe, a panel per column of the table, one legend for
+    all, and what the rings say of the paper's statements below; and its axes (recipes, columns).
+    """
+    drawn = [recipe for recipe in RECIPES if recipe in summaries]
+    said = _said(summaries, drawn, panels)
+    height = _HEIGHT * len(drawn) + _LINE * len(said)
+    figure, only = new_figure(_WIDTH * len(panels), height)
     only.remove()
-    axes = figure.subplots(1, len(panels))
-    rings = [ring for summary in summaries.values() for ring in summary["rings"]]
-    for one, (column, label) in zip(axes, panels.items(), strict=True):
-        _curves(one, summaries, column)
-        one.set(xlabel="separation of neighbours, deg, and robots", ylabel=label)
-        one.set_xticks(*_ticks(rings))
-        one.grid(alpha=0.3)
-    figure.legend(
-        *axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=6, fontsize=8
-    )
+    axes = figure.subplots(len(drawn), len(panels), sharex=True, sharey="col", squeeze=False)
+    rings = [ring for recipe in drawn for ring in summaries[recipe]["rings"]]
+    colours = _colours(sorted({ring["clicks"] for ring in rings}))
+    for row, recipe in zip(axes, drawn, strict=True):
+        for one, (column, label) in zip(row, panels.items(), strict=True):
+            _curves(one, summaries[recipe]["rings"], column, colours)
+            one.set(ylabel=f"{recipe}: {label}")
+            one.set_xticks(*_ticks(rings))
+            one.grid(alpha=0.3)
+    for one in axes[-1]:
+        one.set(xlabel="separation of neighbours, deg, and robots")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=8)
+    figure.supxlabel("\n".join(said), x=0.01, ha="left", fontsize=8)
     return figure, axes
 
 
-def _curves(axes: Any, summaries: Mapping[str, dict[str, Any]], column: str) -> None:
-    numbers = sorted({r["clicks"] for summary in summaries.values() for r in summary["rings"]})
-    colours = dict(zip(numbers, _colours(len(numbers)), strict=True))
-    drawn = [recipe for recipe in RECIPES if recipe in summaries]
-    for clicks, recipe in itertools.product(numbers, drawn):  # the legend has a column per number
-        rows = [r for r in summaries[recipe]["rings"] if r["clicks"] == clicks]
-        rows = [r for r in rows if r[column] is not None]
+def _curves(
+    axes: Any, rings: Sequence[Mapping[str, Any]], column: str, colours: Mapping[int, Floats]
+) -> None:
+    for clicks, colour in colours.items():
+        rows = [r for r in rings if r["clicks"] == clicks and r[column] is not None]
         axes.plot(
             [row["separation_deg"] for row in rows],
             [row[column] for row in rows],
-            RECIPES[recipe],
             marker="o",
             markersize=3,
-            color=colours[clicks],
-            label=f"{recipe}, {clicks} click{'s' if clicks != 1 else ''}",
+            color=colour,
+            label=f"{clicks} click{'s' if clicks != 1 else ''}",
         )
 
 
@@ -87,20 +93,21 @@ def _logarithmic(axes: Sequence[Any]) -> None:
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+    if not any(np.any(np.asarray(line.get_ydata()) > 0) for a in axes for line in a.get_lines()):
+        return
     for one in axes:
-        if not any(np.any(np.asarray(line.get_ydata()) > 0) for line in one.get_lines()):
-            continue
         one.set(yscale="log")
         one.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         one.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         one.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _colours(count: int) -> Floats:
-    """(N, 4) red, green, blue and opacity, from dark to bright."""
+def _colours(numbers: Sequence[int]) -> dict[int, Floats]:
+    """By number of clicks red, green, blue and opacity, from dark to bright."""
     from matplotlib import colormaps
 
-    return np.asarray(colormaps["viridis"](np.linspace(_DARKEST, _BRIGHTEST, count)), np.float64)
+    places = np.linspace(0.0, _BRIGHTEST, len(numbers))
+    return dict(zip(numbers, np.asarray(colormaps["viridis"](places), np.float64), strict=True))
 
 
 def _ticks(rings: Sequence[Mapping[str, Any]]) -> tuple[list[float], list[str]]:
@@ -111,13 +118,14 @@ def _ticks(rings: Sequence[Mapping[str, Any]]) -> tuple[list[float], list[str]]:
     return places, [f"{place:.3g}\n{robots[place]}" for place in places]
 
 
-def _say(figure: Any, summaries: Mapping[str, dict[str, Any]], columns: Iterable[str]) -> None:
-    """Puts what the rings say of the paper's statements below the panels, a line each."""
-    asked = set(columns)
+def _said(
+    summaries: Mapping[str, dict[str, Any]], drawn: Sequence[str], columns: Collection[str]
+) -> list[str]:
+    """What the rings say of the paper's statements about some columns, a line each."""
     lines = [
         f"{recipe}: {statement.line}"
-        for recipe in (one for one in RECIPES if one in summaries)
+        for recipe in drawn
         for statement in statements(summaries[recipe]["rings"])
-        if statement.column in asked
+        if statement.column in columns
     ]
-    figure.supxlabel("\n".join(dict.fromkeys(lines)), x=0.01, ha="left", fontsize=8)
+    return list(dict.fromkeys(lines))  # what was not asked is alike for mean and median

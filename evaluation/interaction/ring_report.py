@@ -185,19 +185,19 @@ def compared(summaries: Mapping[str, dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _print_compared(beside: Sequence[Mapping[str, Any]]) -> None:
-    shown = {"separation_deg": "deg", "success": "success", "paper_success": "paper's",
-             "position_error_median_m": "median m", "paper_position_error_median_m": "paper's",
-             "position_error_m": "mean m", "paper_position_error_m": "paper's",
-             "met": "met by median", "met_by_mean": "met by mean"}  # fmt: skip
+    values = ("success", "position_error_median_m", "position_error_m")
     print_table(
-        "full recipe without clicks beside the paper's with three",
-        list(shown.values()),
-        [[_word(row[name]) for name in shown] for row in beside],
+        "full recipe without clicks / paper's with three",
+        ["deg", "success", "median m", "mean m", "met", "met by mean"],
+        [
+            [
+                row["separation_deg"],
+                *(f"{row[value]:.2g} / {row[f'paper_{value}']:.2g}" for value in values),
+                *("yes" if row[met] else "no" for met in ("met", "met_by_mean")),
+            ]
+            for row in beside
+        ],
     )
-
-
-def _word(value: Any) -> Any:
-    return {True: "yes", False: "no"}[value] if isinstance(value, bool) else value
 
 
 def _earlier(out: Path) -> dict[str, dict[str, Any]]:
