@@ -93,9 +93,9 @@ def _logarithmic(axes: Sequence[Any]) -> None:
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    if not any(np.any(np.asarray(line.get_ydata()) > 0) for a in axes for line in a.get_lines()):
-        return
     for one in axes:
+        if not any(np.any(np.asarray(line.get_ydata()) > 0) for line in one.get_lines()):
+            continue
         one.set(yscale="log")
         one.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         one.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -92,7 +92,7 @@ def write_results(
     cells = [vars(row) for row in table]
     write_csv(out / "ring.csv", [field.name for field in fields(RingRow)], cells)
     write_rows(out, rows)
-    shown = {"separation_deg": "deg", "clicks": "clicks", "robots": "robots", "pairs": "pairs",
+    shown = {"separation_deg": "deg", "clicks": "clicks", "robots": "robots",
              "position_error_m": "mean m", "position_error_median_m": "median m",
              "located": "located", "success": "success",
              "icp_ms": "icp ms", "align_ms": "align ms"}  # fmt: skip
