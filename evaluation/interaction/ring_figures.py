@@ -17,6 +17,7 @@ RECIPES = ("full", "paper")
 _MOST_TICKS = 12  # more numbers of robots do not fit below an axis
 _WIDTH, _HEIGHT = 4.6, 3.4  # of one panel, inches
 _LINE = 0.17  # of text, inches
+_AROUND = 1.0  # legend above and labels below, inches
 _BRIGHTEST = 0.9  # of the colours; the yellow beyond it is too pale on white
 
 
@@ -52,7 +53,7 @@ def _panels(panels: Mapping[str, str], summaries: Mapping[str, dict[str, Any]]) 
     """
     drawn = [recipe for recipe in RECIPES if recipe in summaries]
     said = _said(summaries, drawn, panels)
-    height = _HEIGHT * len(drawn) + _LINE * len(said)
+    height = _HEIGHT * len(drawn) + _LINE * len(said) + _AROUND
     figure, only = new_figure(_WIDTH * len(panels), height)
     only.remove()
     axes = figure.subplots(len(drawn), len(panels), sharex=True, sharey="col", squeeze=False)
@@ -61,7 +62,7 @@ def _panels(panels: Mapping[str, str], summaries: Mapping[str, dict[str, Any]]) 
     for row, recipe in zip(axes, drawn, strict=True):
         for one, (column, label) in zip(row, panels.items(), strict=True):
             _curves(one, summaries[recipe]["rings"], column, colours)
-            one.set(ylabel=f"{recipe}: {label}")
+            one.set_ylabel(f"{recipe}: {label}", fontsize=9)
             one.set_xticks(*_ticks(rings))
             one.grid(alpha=0.3)
     for one in axes[-1]:
