@@ -92,14 +92,14 @@ def write_results(
     cells = [vars(row) for row in table]
     write_csv(out / "ring.csv", [field.name for field in fields(RingRow)], cells)
     write_rows(out, rows)
-    shown = {"separation_deg": "deg", "clicks": "clicks", "robots": "robots",
+    shown = {"separation_deg": "deg", "clicks": "clicks",
              "position_error_m": "mean m", "position_error_median_m": "median m",
              "located": "located", "success": "success",
              "icp_ms": "icp ms", "align_ms": "align ms"}  # fmt: skip
     print_table(
         f"{recipe} recipe",
         list(shown.values()),
-        [[cell[name] for name in shown] for cell in cells],
+        [[_short(cell[name]) for name in shown] for cell in cells],
     )
     said = statements(cells)
     for statement in said:
@@ -198,6 +198,11 @@ def _print_compared(beside: Sequence[Mapping[str, Any]]) -> None:
             for row in beside
         ],
     )
+
+
+def _short(value: Any) -> Any:
+    """Three digits, so that the table fits a terminal of 80 columns; ring.csv has them all."""
+    return f"{value:.3g}" if isinstance(value, float) else value
 
 
 def _earlier(out: Path) -> dict[str, dict[str, Any]]:
