@@ -30,7 +30,7 @@ app.add_typer(recording_commands.app)
 def default(
     context: typer.Context,
     fps: Fps = 10.0,
-    threshold: Threshold = 1.0,
+    threshold: Threshold = None,
     theme: Theme = "auto",
     keys: KeysFile = None,
     log: LogFile = None,
@@ -54,7 +54,7 @@ def default(
 @app.command()
 def screen(
     fps: Fps = 10.0,
-    threshold: Threshold = 1.0,
+    threshold: Threshold = None,
     theme: Theme = "auto",
     keys: KeysFile = None,
     log: LogFile = None,
@@ -77,7 +77,7 @@ def screenshot(
     pair: Annotated[str, typer.Option(help="R1,R2; default: the first question's")] = "",
     maximise: Annotated[bool, typer.Option(help="show the images only")] = False,
     theme: Theme = "auto",
-    threshold: Threshold = 1.0,
+    threshold: Threshold = None,
     connect: c.Connect = c.DEFAULT_CONNECT,
     site: c.Site = c.DEFAULT_SITE,
     config: c.Config = None,

@@ -11,6 +11,11 @@ from protocol.messages import FleetState, PairCell, Verdict
 
 HIDDEN, UNTRIED, THROUGH, SELF = "-", "·", "~", "╲"
 BOLD_SHARE = 0.05
+THRESHOLD_SHARE = 0.1
+"""Of the scene's depth: errors above it are hidden unless the operator says otherwise. Twice what
+counts as gravely off, so that noisy depths hide no right pair; and 1 m in scenes of 10 m, as it was
+for all."""
+THRESHOLD_M = 1.0  # while no server has told the depth
 _DOUBTS = {"verified": 0.25, "plausible": 0.5, "ambiguous": 0.75, "rejected": 1.0}
 
 Quantity = Literal["rms", "regression", "overlap", "age", "verdict", "grave"]
@@ -61,6 +66,11 @@ def is_shown(cell: PairCell, threshold_m: float) -> bool:
     """Whether a cell shows its error: aligned, not rejected, not above the threshold."""
     tried = cell.state == "tried" and cell.rmse_m is not None and cell.verdict != "rejected"
     return tried and cell.rmse_m is not None and cell.rmse_m <= threshold_m
+
+
+def default_threshold_m(depth_m: float | None) -> float:
+    """Above which error a cell is a hyphen where no operator has said so; metres."""
+    return THRESHOLD_M if depth_m is None else THRESHOLD_SHARE * depth_m
 
 
 def matrix_of(fleet: FleetState, threshold_m: float, quantity: Quantity = "rms") -> Matrix:

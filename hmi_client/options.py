@@ -28,7 +28,12 @@ Fps = Annotated[
     typer.Option(help="looks at the state per second", min=1, max=60, callback=given_before),
 ]
 Threshold = Annotated[
-    float, typer.Option(help="hide errors above it, metres", min=0.0001, callback=given_before)
+    float | None,
+    typer.Option(
+        help="hide errors above it, metres; default: a tenth of the scene's depth",
+        min=0.0001,
+        callback=given_before,
+    ),
 ]
 KeysFile = Annotated[
     Path | None,

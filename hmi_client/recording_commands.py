@@ -18,7 +18,7 @@ File = Annotated[Path, typer.Argument(help="the recording, an MCAP file")]
 def record(
     file: File,
     fps: Fps = 10.0,
-    threshold: Threshold = 1.0,
+    threshold: Threshold = None,
     theme: Theme = "auto",
     keys: KeysFile = None,
     log: LogFile = None,
@@ -46,7 +46,7 @@ def replay(
         bool, typer.Option("--list", help="print what was done, line by line; no screen")
     ] = False,
     fps: Fps = 10.0,
-    threshold: Threshold = 1.0,
+    threshold: Threshold = None,
     theme: Theme = "auto",
     keys: KeysFile = None,
     log: LogFile = None,

@@ -11,6 +11,7 @@ from typing import TypeVar
 from hmi_client.errors import OperatorError
 from hmi_client.feed import Feed
 from hmi_client.kept import KeptUpdates
+from hmi_client.matrix import default_threshold_m
 from hmi_client.model import HalfPick, Pair, Picture, PixelUV
 from hmi_client.outbox import Ticket
 from protocol.keys import checked_name, ordered_pair
@@ -26,7 +27,7 @@ class OperatorSession(Feed):
         operator: the operator's name, a chunk of keys.
         session: epoch of this life of the client; random if none is given.
         clock: monotonic seconds.
-        threshold_m: errors above it are shown as a hyphen.
+        threshold_m: errors above it are shown as a hyphen; default: a share of the scene's depth.
         kept: where updates are kept on disk until they are receipted; what another client of the
             operator left there is sent.
     """
@@ -36,14 +37,21 @@ class OperatorSession(Feed):
         operator: str,
         session: str | None = None,
         clock: Callable[[], float] = time.monotonic,
-        threshold_m: float = 1.0,
+        threshold_m: float | None = None,
         kept: KeptUpdates | None = None,
     ) -> None:
         super().__init__(checked_name(operator), session, clock, kept)
         self.operator = operator
-        self.threshold_m = threshold_m
+        self._threshold_m = threshold_m
         self.half: HalfPick | None = None
         self._selected_s = clock()
+
+    @property
+    def threshold_m(self) -> float:
+        """Errors above it are hidden: what the operator said, else what the scene's depth says."""
+        if self._threshold_m is not None:
+            return self._threshold_m
+        return default_threshold_m(None if self.fleet is None else self.fleet.depth_m)
 
     @property
     def seconds_selected(self) -> float:
@@ -80,9 +88,11 @@ class OperatorSession(Feed):
         return True
 
     def set_threshold(self, threshold_m: float) -> None:
-        """Errors above it are hidden behind a hyphen; metres, above 0."""
+        """Errors above it are hidden behind a hyphen; metres, above 0. From then on it no longer
+        follows the scene's depth.
+        """
         with self._changed:
-            self.threshold_m = min(max(threshold_m, 1e-4), 1e4)
+            self._threshold_m = min(max(threshold_m, 1e-4), 1e4)
             self._bump("settings")
 
     def toggle_freeze(self) -> None:

@@ -11,6 +11,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 from pose_server.correspondences.journal import Journal  # noqa: E402
 from pose_server.geometry.errors import MissingLibraryError  # noqa: E402
 from pose_server.geometry.icp import open3d  # noqa: E402
+from pose_server.pairs.weights import Weights  # noqa: E402
 from pose_server.service import Service  # noqa: E402
 from pose_server.session.keeper import stored_graph  # noqa: E402
 from pose_server.session.restoring import folder_files, restored_site  # noqa: E402
@@ -44,6 +45,7 @@ def build(settings: ServerSettings) -> Service:
     )
     site.located_grave = settings.located_grave
     site.recipe, site.icp = settings.recipe, settings.icp
+    site.weights = Weights(settings.weight_clicks, settings.weight_error, settings.retry_s)
     endpoints = SessionSettings(settings.connect, settings.listen, settings.config)
     return Service(site, journal, Link(open_session(endpoints)), settings)
 

@@ -11,11 +11,12 @@ from pose_server.alarms import note_moment, note_motion
 from pose_server.doubts import DROVE, camera_frozen, note_lost, reconsider, wheels_disagree
 from pose_server.fleet.types import Edge
 from pose_server.odometry import camera_motion
-from pose_server.pairs.agenda import note_keyframe
+from pose_server.pairs.agenda import note_keyframe, try_again
 from pose_server.pairs.candidates import candidate_views
 from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.refining import Start
+from pose_server.pairs.retries import note_stand
 from pose_server.pairs.tracking import Attached, accepted, moved, standing
 from pose_server.site import Robot, Site, ViewPair
 from pose_server.views import STILL_PX, KeptView, something_moved, stands_still
@@ -32,6 +33,7 @@ def newest_arrived(site: Site, robot: Robot, view: KeptView) -> None:
     keyframe, no worker is needed.
     """
     robot.newest = robot.waiting = view.name
+    note_stand(robot, view)
     site.odometers.at(view.name, view.stamp_ns)
     if camera_frozen(site, robot, view):
         robot.waiting = None
@@ -40,6 +42,7 @@ def newest_arrived(site: Site, robot: Robot, view: KeptView) -> None:
         new_keyframe(site, robot, view.name)
     elif _stayed(site, robot, view, robot.track.reference or robot.track.keyframe_near(view.name)):
         robot.waiting = None
+        try_again(site, robot, view.received_s)
 
 
 def look_back(site: Site, view: ViewName) -> None:
@@ -112,6 +115,8 @@ def followed(site: Site, done: Done) -> None:
         _ask_for_covariance(site, robot.track.attached[view].keyframe)
     if past:
         _placed(site, view)
+    elif step == "attached":
+        try_again(site, robot, site.views[view].received_s)
     reconsider(site)
 
 

@@ -115,6 +115,7 @@ def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
     for outcome in outcomes:
         if outcome.accepted:
             site.pair(*outcome.pair).clicks_due = True
+            agenda.reweigh(site, outcome.pair)
             site.dirty = True
             for view in outcome.views:
                 look_back(site, view)
@@ -317,6 +318,7 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
         site.robot(name).errors = None
     site.touched.update((i.robot, j.robot))
     record.last, record.last_views, record.refuted = done.outcome, (i, j), False
+    record.failures = record.failures + 1 if done.outcome.verdict == "rejected" else 0
     note_repetition(site)
     if done.result is None:
         site.say(f"alignment of {i} and {j} failed: {done.error}")
@@ -359,9 +361,10 @@ def _unlink_operator(site: Site, a: str, b: str) -> None:
 
 def _link_pair(site: Site, i: Attached, j: Attached, done: Done) -> None:
     assert done.result is not None
-    T, covariance = on_keyframes(done.result, i, j)
-    if i.keyframe == j.keyframe:
+    known = all(h.keyframe in site.robot(h.keyframe.robot).track.keyframes for h in (i, j))
+    if i.keyframe == j.keyframe or not known:  # a keyframe may have been dropped meanwhile
         return
+    T, covariance = on_keyframes(done.result, i, j)
     clicks, result = done.job.clicks, done.result
     enough = clicks is not None and len(clicks.z_i) >= 3
     operator, grown = result.confirmed and enough, result.grown and enough

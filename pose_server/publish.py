@@ -299,6 +299,7 @@ def fleet_state(site: Site, settings: ServerSettings, stamp: Stamp, n: int) -> F
         pinned=site.pinned(),
         alarms=alarms.standing(site),
         answered=site.asking.answers,
+        depth_m=None if site.solution is None else site.depth_m,
     )
 
 

@@ -8,6 +8,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from pose_server.geometry.icp import Method
 from pose_server.pairs.recipes import RecipeName
+from pose_server.pairs.weights import Weights
 
 
 class ServerSettings(BaseSettings):
@@ -58,4 +59,20 @@ class ServerSettings(BaseSettings):
         gt=0,
         lt=1,
         description="largest probability that a located robot is gravely off",
+    )
+    weight_clicks: float = Field(
+        Weights.clicks,
+        ge=0,
+        description="what three live correspondences add to a pair's weight, as a share of it",
+    )
+    weight_error: float = Field(
+        Weights.error,
+        ge=0,
+        description="the most that its last error adds; 1 % of the depth adds its own weight once",
+    )
+    retry_s: float = Field(
+        Weights.retry_s,
+        gt=0,
+        description="rest of a pair whose alignment failed, before it is tried again with a view "
+        "that changed; each failure in a row doubles it",
     )

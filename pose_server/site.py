@@ -26,6 +26,7 @@ from pose_server.pairs.judging import PairResult
 from pose_server.pairs.recipes import RecipeName
 from pose_server.pairs.schedule import Turns
 from pose_server.pairs.tracking import Attached, Track
+from pose_server.pairs.weights import Weights
 from pose_server.views import KeptView, ViewStore, same_camera
 from pose_server.widening import Widening
 from protocol.errors import FleetPoseError
@@ -65,6 +66,7 @@ class Robot:
         stamp_ns: of the newest view, by the robot's clock.
         changes: of calibration, and times that the clock went back.
         errors: of its pairs as they are told; None when one of them changed.
+        stood: the first view since which it has stood still and seen the same.
     """
 
     name: str
@@ -84,6 +86,7 @@ class Robot:
     errors: tuple[PairError, ...] | None = None
     poses_sent: int = 0
     untracked: int = 0
+    stood: KeptView | None = None
 
     @property
     def alive(self) -> bool:
@@ -104,6 +107,9 @@ class PairRecord:
         untried: what the most promising keyframe pairs promise that were not aligned yet, 0 to 1.
         tried: keyframe pairs aligned, and by which kinds of starts.
         searched: what features gave for keyframe pairs.
+        retry: views that are tried again, since the last alignment failed and one of both robots
+            sees something else now; retry_promise: as in untried.
+        failures: alignments in a row that were rejected, or ended without a result.
         clicks_due: the operator's set changed and was not aligned since.
         search_due: it was, but without asking features again, and nothing sure was found.
         heard: which correspondences, by id and revision, the images were asked about last, and
@@ -119,6 +125,9 @@ class PairRecord:
     untried: dict[ViewPair, float] = field(default_factory=dict)
     tried: dict[ViewPair, set[str]] = field(default_factory=dict)
     searched: dict[ViewPair, PairResult] = field(default_factory=dict)
+    retry: ViewPair | None = None
+    retry_promise: float = 0.0
+    failures: int = 0
     running: bool = False
     clicks_due: bool = False
     search_due: bool = False
@@ -153,6 +162,7 @@ class Site:
         recipe, icp: how pairs are aligned, and their clouds brought together.
         pins: by operator and session.
         agenda: which pairs wait to be aligned.
+        weights: what makes them wait for less.
         kinds: of work of which each has its share.
         partners: of each robot, those of which a pair record is there.
         repetition: share of pairs that told the last solve of a place that repeats itself.
@@ -190,6 +200,7 @@ class Site:
     solution: FleetSolution | None = None
     gauge_revision: int = 0
     agenda: Agenda = field(default_factory=Agenda)
+    weights: Weights = field(default_factory=Weights)
     kinds: Turns[str] = field(default_factory=Turns)
     depth_m: float = 1.0
     dirty: bool = False

@@ -337,12 +337,12 @@ class Alarm(Message, frozen=True, schema="fleet.alarm.v1"):
 class FleetState(
     Message,
     frozen=True,
-    schema="fleet.state.v6",
-    before="fleet.state.v5",
+    schema="fleet.state.v7",
+    before="fleet.state.v6",
     at_most=MAX_MESSAGE_BYTES,
 ):
-    """`fleet/state`: everything a late client needs, at a steady rate. v6 tells of each pair how
-    likely it is gravely off.
+    """`fleet/state`: everything a late client needs, at a steady rate. v7 tells how deep the scene
+    is.
     """
 
     server_epoch: Epoch
@@ -364,6 +364,9 @@ class FleetState(
     alarms: Many[Alarm] = Field(default=(), description="that stand now")
     answered: Many[Answer] = Field(
         default=(), description="the operators' newest answers, the newest last"
+    )
+    depth_m: Positive | None = Field(
+        default=None, description="median depth of all keyframes; none before the first solve"
     )
 
 

@@ -6,11 +6,9 @@ from collections.abc import Callable
 import numpy as np
 
 from evaluation.questions.server import FleetServer, RobotPair, named_pairs
-from hmi_client.matrix import is_shown
+from hmi_client.matrix import default_threshold_m, is_shown
 from pose_server.publish import pair_cells
 from pose_server.questions import questions
-
-THRESHOLD_M = 1.0  # the client's: larger errors are hidden behind a hyphen
 
 Policy = Callable[[FleetServer, Counter[RobotPair], np.random.Generator], RobotPair | None]
 """Picks a pair, given how often each was visited; none if it has nothing to ask."""
@@ -32,10 +30,11 @@ def by_largest_error(
     visited least: nobody clicks in one pair for ever.
     """
     del rng
+    threshold_m = default_threshold_m(server.site.depth_m)
     shown = {
         (cell.i, cell.j): cell.rmse_m or 0.0
         for cell in pair_cells(server.site, 0.0)
-        if is_shown(cell, THRESHOLD_M)
+        if is_shown(cell, threshold_m)
     }
     return max(shown, key=lambda pair: (-visits[pair], shown[pair]), default=None)
 

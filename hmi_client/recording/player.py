@@ -51,7 +51,7 @@ class PlayedSession(OperatorSession):
     """
 
     def __init__(
-        self, recording: Recording, clock: Callable[[], float], threshold_m: float = 1.0
+        self, recording: Recording, clock: Callable[[], float], threshold_m: float | None = None
     ) -> None:
         first = next(_sent(recording, OperatorUpdate), None)
         told = next(_sent(recording, Selection), None)

@@ -99,7 +99,7 @@ def run_replay(
     speed: float,
     start_s: float,
     fps: float,
-    threshold_m: float,
+    threshold_m: float | None,
     log: Path | None,
     theme: palette.Choice = "auto",
     keys: Path | None = None,

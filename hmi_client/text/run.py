@@ -32,7 +32,7 @@ RETRY_TIMEOUT_S = 2.0  # per attempt to reach the router; the screen is there me
 def run_screen(
     where: Connection,
     fps: float,
-    threshold_m: float,
+    threshold_m: float | None,
     log: Path | None,
     theme: palette.Choice = "auto",
     keys: Path | None = None,
@@ -43,7 +43,7 @@ def run_screen(
     Args:
         where: the fleet and the operator.
         fps: how often the session is looked at.
-        threshold_m: errors above it are hidden.
+        threshold_m: errors above it are hidden; default: a share of the scene's depth.
         log: the log file; default: in the state folder.
         theme: the colours.
         keys: a file of keys; default: that in the user's config folder, if there is one.
@@ -105,7 +105,7 @@ def take_screenshot(
     timeout_s: float,
     pair: str,
     maximise: bool,
-    threshold_m: float,
+    threshold_m: float | None,
 ) -> bool:
     """Writes an SVG of the screen; whether poses and both images had arrived by then.
 
@@ -117,7 +117,8 @@ def take_screenshot(
     if len(robots) not in (0, 2):
         raise OperatorError(f"'{pair}' is no pair: write R1,R2")
     with where.server() as session:
-        session.set_threshold(threshold_m)
+        if threshold_m is not None:
+            session.set_threshold(threshold_m)
         if robots:
             session.select(robots[0], robots[1])
         else:

@@ -8,7 +8,7 @@ in proportion to its weight.
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from pose_server.pairs.candidates import (
     BEST_OF_ROBOT,
@@ -18,23 +18,21 @@ from pose_server.pairs.candidates import (
     similarity,
     to_compare,
 )
+from pose_server.pairs.retries import retries_due
 from pose_server.pairs.schedule import Pick, Turns
+from pose_server.pairs.weights import Line, pair_weight
 from protocol.keys import ordered_pair
 from protocol.messages import ViewName
 
 if TYPE_CHECKING:
-    from pose_server.site import PairRecord, Site
+    from pose_server.site import PairRecord, Robot, Site
 
 RobotPair = tuple[str, str]
 ViewPair = tuple[ViewName, ViewName]
-Line = Literal["joining", "unlikely", "sharpening"]
 
 _SHARES: dict[Line, float] = {"joining": 8.0, "unlikely": 1.0, "sharpening": 2.0}
 _MOST_UNTRIED = 8  # keyframe pairs of two robots that wait at a time
 _MOST_TO_COMPARE = 20_000
-_LEAST_PROMISE = 0.05  # looks deceive: no pair is hopeless
-_WRONG_NEEDS = 3.0  # a pair whose best alignment is not trusted needs more than its share
-_ERROR_SHARE = 0.01  # of the depth: a regression error that doubles a pair's weight
 
 
 @dataclass
@@ -85,7 +83,7 @@ def appraise(site: "Site", now_s: float) -> None:
         for line in agenda.lines.values():
             for pair in line.waiting():
                 record, joined = site.pairs[pair], line is sharpening
-                if any(site.joined(*views) != joined for views in record.untried):
+                if any(site.joined(*views) != joined for views in _waiting(site, record)):
                     _think_again(site, record)
                     file(site, pair, now_s)
     agenda.fresh = {view: None for view in agenda.fresh if view in site.views}
@@ -132,6 +130,23 @@ def file(site: "Site", pair: RobotPair, now_s: float) -> None:
         agenda.lines[line].offer(pair, weight, now_s)
 
 
+def reweigh(site: "Site", pair: RobotPair) -> None:
+    """Gives a pair that waits the weight that it has now; it keeps its place in the line."""
+    for line, turns in site.agenda.lines.items():
+        if pair in turns:
+            record = site.pairs[pair]
+            promise = _line_of(site, record)[1]
+            turns.offer(pair, pair_weight(site, pair, record, line, promise), 0.0)
+
+
+def try_again(site: "Site", robot: "Robot", now_s: float) -> None:
+    """A robot's newest view hangs on a keyframe: pairs of which the last alignment failed may wait
+    once more.
+    """
+    for pair in retries_due(site, robot, now_s):
+        file(site, pair, now_s)
+
+
 def pick(site: "Site", now_s: float) -> tuple[RobotPair, ViewPair] | None:
     """The pair whose turn it is, and its most promising keyframes, which are taken off the list."""
     agenda = site.agenda
@@ -148,45 +163,39 @@ def pick(site: "Site", now_s: float) -> tuple[RobotPair, ViewPair] | None:
             continue
         record = site.pairs[chosen.key]
         joining = kind.key != "sharpening"
-        fitting = [views for views in record.untried if site.joined(*views) != joining]
+        waiting = _waiting(site, record)
+        fitting = {v: promise for v, promise in waiting.items() if site.joined(*v) != joining}
         if not fitting:
             file(site, chosen.key, now_s)
             continue
-        views = max(fitting, key=lambda one: record.untried[one])
-        promise = record.untried.pop(views)
+        views, promise = max(fitting.items(), key=lambda one: one[1])
+        record.untried.pop(views, None)
+        record.retry = None  # what fails once more asks for another
         _note_pick(agenda, kind.key, chosen, promise)
         file(site, chosen.key, now_s)
         return chosen.key, views
     return None
 
 
-def pair_weight(
-    site: "Site", pair: RobotPair, record: "PairRecord", line: Line, promise: float
-) -> float:
-    """How much a pair deserves the next alignment, beside others of its line: what it promises,
-    less for every link it has, more for a large regression error or a result that is not trusted.
-    """
-    weight = _LEAST_PROMISE + promise
-    best = record.best
-    if line == "sharpening":
-        weight /= 1.0 + site.edge_count(*pair)
-        if best is not None:
-            weight *= 1.0 + min(best.rmse_m / (_ERROR_SHARE * site.depth_m), 2.0)
-            weight *= 1.0 if best.verdict == "verified" else _WRONG_NEEDS
-    elif best is not None and best.verdict == "rejected":
-        weight /= 1.0 + 0.5 * record.alignments  # tries so far
-    return weight
-
-
 def _line_of(site: "Site", record: "PairRecord") -> tuple[Line | None, float]:
-    """The line that a pair belongs to, and what its best keyframes promise there."""
-    apart = [p for views, p in record.untried.items() if not site.joined(*views)]
+    """The line that a pair belongs to, and what its best views promise there."""
+    waiting = _waiting(site, record)
+    apart = [promise for views, promise in waiting.items() if not site.joined(*views)]
     if apart:
         promise = max(apart)
         return ("joining" if promise > 0.0 else "unlikely"), promise
-    if record.untried:
-        return "sharpening", max(record.untried.values())
+    if waiting:
+        return "sharpening", max(waiting.values())
     return None, 0.0
+
+
+def _waiting(site: "Site", record: "PairRecord") -> dict[ViewPair, float]:
+    """What two robots' views promise that wait to be aligned: keyframes, and those to be tried
+    again while they are kept.
+    """
+    if record.retry is None or not all(view in site.views for view in record.retry):
+        return record.untried
+    return {record.retry: record.retry_promise, **record.untried}
 
 
 def _lay_beside(site: "Site", view: ViewName, now_s: float) -> None:

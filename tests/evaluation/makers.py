@@ -38,14 +38,19 @@ def ring_poses(count: int, step_deg: float = 10.0, radius_m: float = 2.0) -> lis
 
 
 def write_posed_views(
-    folder: Path, count: int = 4, points: int = 300, partners: bool = True, c2: float = 0.01
+    folder: Path,
+    count: int = 4,
+    points: int = 300,
+    partners: bool = True,
+    c2: float = 0.01,
+    step_deg: float = 10.0,
 ) -> list[Floats]:
     """A posed-views folder of a random cloud around the origin, whose noisy depths are said to be
     known to c2 z^2; returns the T_world_camera.
     """
     rng = np.random.default_rng(5)
     world = rng.uniform(-0.5, 0.5, (points, 3))
-    poses = ring_poses(count)
+    poses = ring_poses(count, step_deg)
     names = [f"photo{k:02d}.png" for k in range(count + 1)]
     for sub in ("images", *KINDS):
         (folder / sub).mkdir(parents=True, exist_ok=True)
@@ -76,7 +81,7 @@ def write_posed_views(
                 "R_world_to_cam": T_camera_world[:3, :3].tolist(),
                 "t_world_to_cam": T_camera_world[:3, 3].tolist(),
                 "camera_center_world": T_world_camera[:3, 3].tolist(),
-                "ring_angle_deg": float((10 * k + 180) % 360),
+                "ring_angle_deg": float((step_deg * k + 180) % 360),
             }
         )
     (folder / "cameras.json").write_text(json.dumps({"cameras": cameras}))

@@ -9,9 +9,12 @@ from hmi_client.matrix import (
     BOLD_SHARE,
     HIDDEN,
     QUANTITIES,
+    THRESHOLD_SHARE,
     THROUGH,
     UNTRIED,
+    default_threshold_m,
     doubt_text,
+    is_shown,
     length_text,
     matrix_of,
     natural,
@@ -43,6 +46,13 @@ def test_errors_of_a_metre_and_more_are_told_in_metres():
 def test_above_the_threshold_stands_a_hyphen():
     m = matrix(tried("r1", "r2", 0.3), tried("r1", "r3", 0.2), threshold_m=0.25)
     assert (m.at("r1", "r2").text, m.at("r1", "r3").text) == ("-", "20.0")
+
+
+@given(st.floats(0.1, 1000.0), st.floats(0.0, 2.0))
+def test_the_threshold_follows_the_depth_so_that_no_scene_is_hidden_for_its_size(depth_m, share):
+    cell = tried("r1", "r2", share * THRESHOLD_SHARE * depth_m)
+    shown = is_shown(cell, default_threshold_m(depth_m))
+    assert shown == is_shown(tried("r1", "r2", share), 1.0) or share == pytest.approx(1.0)
 
 
 def test_a_hidden_error_does_not_change_the_unit():

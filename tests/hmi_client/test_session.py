@@ -4,6 +4,7 @@ import pytest
 from hmi_fakes import EPOCH, fleet, pose, view
 
 from hmi_client.errors import OperatorError
+from hmi_client.matrix import THRESHOLD_M, THRESHOLD_SHARE
 from hmi_client.model import Picture, new_events
 from hmi_client.reports import entries_text
 from hmi_client.session import OperatorSession
@@ -346,6 +347,20 @@ def test_next_question_follows_the_ranking_and_wraps(session):
     assert pairs == [("r5", "r6"), ("r1", "r2"), ("r5", "r6")]
     session.next_question(-1)
     assert session.pair == ("r1", "r2")
+
+
+def test_the_threshold_follows_the_scene_until_the_operator_says_otherwise():
+    session = OperatorSession("op")
+    assert session.threshold_m == THRESHOLD_M  # nobody has told the depth yet
+    for n, depth_m in enumerate((8.0, 0.5), 1):
+        session.on_fleet(fleet(n=n, depth_m=depth_m))
+        assert session.threshold_m == pytest.approx(THRESHOLD_SHARE * depth_m)
+    session.set_threshold(0.2)
+    session.on_fleet(fleet(n=3, depth_m=100.0))
+    assert session.threshold_m == 0.2
+    given = OperatorSession("op", threshold_m=0.3)
+    given.on_fleet(fleet(depth_m=100.0))
+    assert given.threshold_m == 0.3
 
 
 def test_only_changed_topics_grow(session):

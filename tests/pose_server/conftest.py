@@ -8,3 +8,5 @@ from pose_server.pairs import engine
 @pytest.fixture(autouse=True)
 def no_views_of_another_test():
     engine._prepared.clear()
+    yield
+    engine._prepared.clear()  # a module's own fixtures are made before this one

@@ -210,6 +210,7 @@ EXAMPLES = {
             pinned=(V1,),
             alarms=(ALARM,),
             answered=(ANSWER,),
+            depth_m=6.5,
         ),
         m.ServerStatus(
             server_epoch=EPOCH,

@@ -16,10 +16,7 @@ ADDED = {
     "fleet.pose.v1": {"why_not": ""},
     "fleet.robot_state.v1": {"pose": BARE_POSE},
     "fleet.pair_cell.v1": BARE_CELL,
-    "fleet.state.v5": {
-        "robots": (EXAMPLES[m.RobotState].model_dump() | {"pose": BARE_POSE},),
-        "pairs": (EXAMPLES[m.PairCell].model_dump() | BARE_CELL,),
-    },
+    "fleet.state.v6": {"depth_m": None},
     "fleet.relative_pose.v1": {
         "verdict": "ambiguous",
         "located": False,
