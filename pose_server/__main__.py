@@ -124,8 +124,8 @@ def export_session(
     voxel_m: Annotated[
         float | None,
         typer.Option(
-            help="Edge of the map's voxels, metres. [default: half the cameras' depth sigma, "
-            "at least two pixels, at the scene's depth]"
+            help="Edge of the map's voxels, metres; if not told, half the cameras' depth sigma at "
+            "the scene's depth, at least two pixels."
         ),
     ] = None,
     state_dir: StateDir = Path("fleetpose-state"),
@@ -138,7 +138,7 @@ def export_session(
 
     --map, --picture: the fleet in 3D, in the frame of the fleet: the clouds of the keyframes of
     all located robots. Each robot has one colour, and in the PLY file a number (`robot`, names in
-    its header). Points whose depth is known worse than to 2 % of the scene's depth are left out.
+    its header). Points whose depth is known worse than to 5 % of the scene's depth are left out.
     """
     from pose_server.mapping.files import MapFiles
     from pose_server.session.exporting import export

@@ -132,9 +132,12 @@ def _summary(
 def _say(summary: dict[str, Any], peak: Peak) -> None:
     shift, own = Shift(**summary["poses"]), Distances(**summary["map"])
     noise = Distances(**summary["noise_alone"])
+    print(
+        f"{summary['located']} of {summary['robots']} robots located; map: {summary['points']} "
+        f"points; truth: {summary['true_points']} points, {summary['true_cloud']}"
+    )
     print_table(
-        f"{summary['located']} of {summary['robots']} robots located; map of {summary['points']} "
-        f"points; true cloud: {summary['true_points']} points, {summary['true_cloud']}",
+        "The anchor's camera where it truly is",
         ("", "median, cm", "p95, cm"),
         (
             ("shift of a point by its camera's pose", *_cm(shift.median_m, shift.p95_m)),

@@ -31,9 +31,10 @@ _MARGIN = 0.085  # around what is shown, share of its longer side
 _HAZE_ASLANT, _HAZE_ABOVE = 0.6, 0.4  # how far the farthest points fade
 _FRUSTUM = (0.015, 0.05)  # depth of a camera's frustum, share of the extent, least and most
 _FRUSTUM_APART = 0.45  # the same, share of the distance between neighbours
+_NAME_AWAY = 0.018  # of a name from its camera, share of the extent, at least
 _NAMED = 24  # more robots are named in the slanted panel only, and small
 _OUTSIDE_ELLIPSOID = 0.05
-_LARGEST_ELLIPSE = 0.04  # smaller ones are drawn 10 or 100 times as large, share of the extent
+_LARGEST_ELLIPSE = 0.04  # smaller ones are drawn up to 100 times as large, share of the extent
 _LINKS: dict[str, tuple[str, Any, str]] = {
     "verified": ("#00694d", "-", "verified link"),
     "plausible": ("#8a5a00", "--", "plausible link"),
@@ -87,9 +88,10 @@ def draw(scene: Scene, path: Path, title: str = "") -> None:
         _draw_links(one, scene, panel.projection)
         _draw_cameras(one, scene, panel.projection, _frustum_m(scene, extent), enlarged)
         one.set(xlim=panel.box[:, 0], ylim=panel.box[:, 1])
-    _draw_names(axes[0], scene, slant, _frustum_m(scene, extent))
+    away_m = max(0.6 * _frustum_m(scene, extent), _NAME_AWAY * extent)
+    _draw_names(axes[0], scene, slant, away_m)
     if len(scene.cameras) <= _NAMED:
-        _draw_names(axes[1], scene, from_above(), _frustum_m(scene, extent))
+        _draw_names(axes[1], scene, from_above(), away_m)
     _frame_slanted(axes[0], panels[0])
     _frame_from_above(axes[1])
     _legend(figure, scene, enlarged)
@@ -230,7 +232,7 @@ def _draw_names(axes: Any, scene: Scene, projection: Projection, away_m: float) 
         eye, ahead = projection.flat(np.stack((T[:3, 3], T[:3, 3] + T[:3, 2])))
         back = (eye - ahead) / max(float(np.linalg.norm(eye - ahead)), 1e-9)
         axes.text(
-            *(eye + 0.6 * away_m * back), scene.fleet_map.robots[camera.robot],
+            *(eye + away_m * back), scene.fleet_map.robots[camera.robot],
             fontsize=8 if few else 5, ha="center", va="center", color="#1b232d", zorder=6,
             path_effects=_HALO,
         )  # fmt: skip
@@ -274,7 +276,9 @@ def _enlarged(scene: Scene, extent_m: float) -> int:
         np.linalg.eigvalsh(c.covariance)[-1] for c in scene.cameras if c.covariance is not None
     ]
     reach = 2 * (chi2_limit(_OUTSIDE_ELLIPSOID, 3) * max([*sigmas, 0.0])) ** 0.5
-    fits = [times for times in (100, 10, 1) if times * reach <= _LARGEST_ELLIPSE * extent_m]
+    fits = [
+        times for times in (100, 50, 20, 10, 5, 2) if times * reach <= _LARGEST_ELLIPSE * extent_m
+    ]
     return fits[0] if fits else 1
 
 

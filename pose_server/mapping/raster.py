@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.floating]
 
-_COVERED = 0.35  # share of the image that dots may cover, were none behind another
+_COVERED = 0.5  # share of the image that dots may cover, were none behind another
 _DOT_PX = (1, 4)  # radius, least and most
 
 
