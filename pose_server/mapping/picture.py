@@ -8,24 +8,30 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Ellipse
-from matplotlib.patheffects import withStroke
 
 from pose_server.geometry.noise import chi2_limit
 from pose_server.mapping.colours import robot_colours
+from pose_server.mapping.drawing import (
+    HALO,
+    LINKS,
+    OUTSIDE_ELLIPSOID,
+    draw_cameras,
+    draw_links,
+    draw_names,
+    kind_of,
+)
 from pose_server.mapping.projection import Projection, aslant, from_above
 from pose_server.mapping.raster import dots
-from pose_server.mapping.scene import MapCamera, MapLink, Scene
+from pose_server.mapping.scene import Scene
 
 Floats = npt.NDArray[np.floating]
 
 _DPI, _FINER = 160, 2  # of the picture, and pixels of the image of points in one of these
 _WIDTH_IN, _HEIGHT_IN = 12.0, (2.5, 7.5)  # of both panels together; of each, least and most
 _LEFT_IN, _BETWEEN_IN, _RIGHT_IN, _BELOW_IN, _ABOVE_IN = 0.15, 0.75, 0.2, 0.85, 0.35
-_POINTS = 500_000  # drawn, evenly chosen: more would cover each other at this size
+_POINTS = 300_000  # drawn, evenly chosen: more would cover each other at this size
 _OUTSIDE = 1.0  # percent of the points at either end of an axis that may lie beyond the picture
 _MARGIN = 0.085  # around what is shown, share of its longer side
 _HAZE_ASLANT, _HAZE_ABOVE = 0.6, 0.4  # how far the farthest points fade
@@ -33,15 +39,7 @@ _FRUSTUM = (0.015, 0.05)  # depth of a camera's frustum, share of the extent, le
 _FRUSTUM_APART = 0.45  # the same, share of the distance between neighbours
 _NAME_AWAY = 0.018  # of a name from its camera, share of the extent, at least
 _NAMED = 24  # more robots are named in the slanted panel only, and small
-_OUTSIDE_ELLIPSOID = 0.05
 _LARGEST_ELLIPSE = 0.04  # smaller ones are drawn up to 100 times as large, share of the extent
-_LINKS: dict[str, tuple[str, Any, str]] = {
-    "verified": ("#00694d", "-", "verified link"),
-    "plausible": ("#8a5a00", "--", "plausible link"),
-    "ambiguous": ("#a33c00", ":", "contradicted link"),
-    "clicks": ("#1f5fa8", "-.", "link by clicks"),
-}
-_HALO = [withStroke(linewidth=2.0, foreground="white")]
 
 
 @dataclass(frozen=True)
@@ -85,13 +83,14 @@ def draw(scene: Scene, path: Path, title: str = "") -> None:
     enlarged = _enlarged(scene, extent)
     for one, panel in zip(axes, panels, strict=True):
         _draw_points(one, scene, shown, panel, height_in)
-        _draw_links(one, scene, panel.projection)
-        _draw_cameras(one, scene, panel.projection, _frustum_m(scene, extent), enlarged)
+        draw_links(one, scene, panel.projection)
+        draw_cameras(one, scene, panel.projection, _frustum_m(scene, extent), enlarged)
         one.set(xlim=panel.box[:, 0], ylim=panel.box[:, 1])
     away_m = max(0.6 * _frustum_m(scene, extent), _NAME_AWAY * extent)
-    _draw_names(axes[0], scene, slant, away_m)
-    if len(scene.cameras) <= _NAMED:
-        _draw_names(axes[1], scene, from_above(), away_m)
+    few = len(scene.cameras) <= _NAMED
+    draw_names(axes[0], scene, slant, away_m, 8.0 if few else 5.0)
+    if few:
+        draw_names(axes[1], scene, from_above(), away_m, 8.0)
     _frame_slanted(axes[0], panels[0])
     _frame_from_above(axes[1])
     _legend(figure, scene, enlarged)
@@ -169,75 +168,6 @@ def _draw_points(
     axes.imshow(image, origin="lower", extent=extent, aspect="auto", zorder=1)
 
 
-def _draw_links(axes: Any, scene: Scene, projection: Projection) -> None:
-    for kind, (colour, style, _) in _LINKS.items():
-        ends = [
-            projection.flat(np.stack((link.a, link.b)))
-            for link in scene.links
-            if _kind(link) == kind
-        ]
-        axes.add_collection(
-            LineCollection(
-                ends, colors=colour, linestyles=style, linewidths=0.9, alpha=0.6, zorder=2
-            )
-        )
-
-
-def _kind(link: MapLink) -> str:
-    return "clicks" if link.clicks else link.verdict
-
-
-def _draw_cameras(
-    axes: Any, scene: Scene, projection: Projection, size_m: float, enlarged: int
-) -> None:
-    """Frusta, the ways that the cameras came, and how well they are known."""
-    colours = robot_colours(len(scene.fleet_map.robots)) / 255.0
-    lines, darks = [], []
-    for camera in scene.cameras:
-        T, colour = camera.T_fleet_camera, colours[camera.robot]
-        tips = projection.flat((size_m * camera.corners) @ T[:3, :3].T + T[:3, 3])
-        eye = projection.flat(T[None, :3, 3])[0]
-        own = [*(np.stack((eye, tip)) for tip in tips), np.vstack((tips, tips[:1]))]
-        lines += own
-        darks += len(own) * [0.6 * colour]
-        axes.fill(*tips.T, color=(*colour, 0.25), linewidth=0, zorder=3)
-        if len(camera.path) > 1:
-            path = projection.flat(camera.path).T
-            axes.plot(*path, ".-", color=0.6 * colour, linewidth=0.8, ms=2.5, zorder=3)
-        _draw_ellipsoid(axes, camera, projection, enlarged, colour)
-    axes.add_collection(LineCollection(lines, colors=darks, linewidths=1.1, zorder=4))
-
-
-def _draw_ellipsoid(
-    axes: Any, camera: MapCamera, projection: Projection, enlarged: int, colour: Floats
-) -> None:
-    if camera.covariance is None:
-        return
-    reach = enlarged * chi2_limit(_OUTSIDE_ELLIPSOID, 3) ** 0.5
-    large, small, angle = projection.ellipse(camera.covariance)
-    axes.add_patch(
-        Ellipse(
-            tuple(projection.flat(camera.T_fleet_camera[None, :3, 3])[0]),
-            2 * reach * large, 2 * reach * small, angle=angle, facecolor=(*colour, 0.2),
-            edgecolor=0.4 * colour, linewidth=0.8, zorder=5,
-        )
-    )  # fmt: skip
-
-
-def _draw_names(axes: Any, scene: Scene, projection: Projection, away_m: float) -> None:
-    """Behind the cameras, where no frustum is."""
-    few = len(scene.cameras) <= _NAMED
-    for camera in scene.cameras:
-        T = camera.T_fleet_camera
-        eye, ahead = projection.flat(np.stack((T[:3, 3], T[:3, 3] + T[:3, 2])))
-        back = (eye - ahead) / max(float(np.linalg.norm(eye - ahead)), 1e-9)
-        axes.text(
-            *(eye + away_m * back), scene.fleet_map.robots[camera.robot],
-            fontsize=8 if few else 5, ha="center", va="center", color="#1b232d", zorder=6,
-            path_effects=_HALO,
-        )  # fmt: skip
-
-
 def _frame_from_above(axes: Any) -> None:
     axes.set_title("from above", fontsize=10)
     axes.set(xlabel="x, m", ylabel="y, m")
@@ -255,13 +185,13 @@ def _frame_slanted(axes: Any, panel: _Panel) -> None:
     start = low + 0.04 * size
     axes.plot([start[0], start[0] + length], [start[1]] * 2, "k-", linewidth=2.5, zorder=7)
     axes.text(start[0] + length / 2, start[1] + 0.015 * size[1], f"{length:g} m", ha="center",
-              va="bottom", fontsize=9, zorder=7, path_effects=_HALO)  # fmt: skip
+              va="bottom", fontsize=9, zorder=7, path_effects=HALO)  # fmt: skip
     corner = np.array((low[0] + 0.9 * size[0], low[1] + 0.1 * size[1]))
     for name, axis in zip("xyz", 0.07 * float(size.min()) * np.eye(3), strict=True):
         tip = corner + panel.projection.flat(axis[None])[0]
         axes.plot(*np.stack((corner, tip)).T, "-", color="#33404f", linewidth=1.2, zorder=7)
         axes.text(*(corner + 1.35 * (tip - corner)), name, fontsize=8, ha="center", va="center",
-                  zorder=7, path_effects=_HALO)  # fmt: skip
+                  zorder=7, path_effects=HALO)  # fmt: skip
 
 
 def _round_m(length_m: float) -> float:
@@ -275,7 +205,7 @@ def _enlarged(scene: Scene, extent_m: float) -> int:
     sigmas = [
         np.linalg.eigvalsh(c.covariance)[-1] for c in scene.cameras if c.covariance is not None
     ]
-    reach = 2 * (chi2_limit(_OUTSIDE_ELLIPSOID, 3) * max([*sigmas, 0.0])) ** 0.5
+    reach = 2 * (chi2_limit(OUTSIDE_ELLIPSOID, 3) * max([*sigmas, 0.0])) ** 0.5
     fits = [
         times for times in (100, 50, 20, 10, 5, 2) if times * reach <= _LARGEST_ELLIPSE * extent_m
     ]
@@ -284,10 +214,10 @@ def _enlarged(scene: Scene, extent_m: float) -> int:
 
 def _legend(figure: Figure, scene: Scene, enlarged: int) -> None:
     """One line below both panels."""
-    there = {_kind(link) for link in scene.links}
+    there = {kind_of(link) for link in scene.links}
     handles = [
         Line2D([], [], color=colour, linestyle=style, label=label)
-        for kind, (colour, style, label) in _LINKS.items()
+        for kind, (colour, style, label) in LINKS.items()
         if kind in there
     ]
     times = "" if enlarged == 1 else f", {enlarged} times as large"
