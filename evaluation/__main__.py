@@ -113,9 +113,10 @@ def ring(
 
     Every separation that the views allow is one ring: regular angles where the recording tells each
     view's place on its ring, every k-th view along the path elsewhere. Writes ring.csv, poses.csv,
-    pairs.csv, summary.json, fig9.png and fig10.png; a summary of the other recipe that is in the
-    folder already is drawn beside this one. `--recipe both` leaves the tables in OUT/paper and
-    OUT/full. Quick: --clicks 0,3 --draws 3.
+    pairs.csv, summary.json, fig9.png and fig10.png; by the full recipe also fleet3d.png: the ring
+    of the smallest separation in 3D, without clicks, like the paper's Fig. 8. A summary of the
+    other recipe that is in the folder already is drawn beside this one. `--recipe both` leaves the
+    tables in OUT/paper and OUT/full. Quick: --clicks 0,3 --draws 3.
     """
     from evaluation.interaction.ring import RingOptions, run
     from evaluation.reconstructed import in_metres
@@ -132,6 +133,31 @@ def ring(
         seed=seed,
     )
     run(options, out)
+
+
+@app.command("map")
+def fleet_map(
+    data: Data,
+    out: Out,
+    clouds: Clouds = None,
+    robots: Annotated[int, typer.Option(min=2, help="On consecutive views.")] = 8,
+    first: Annotated[int, typer.Option(min=0, help="Posed views: the first of them.")] = 0,
+    voxel_m: Annotated[
+        float | None,
+        typer.Option(help="Edge of the map's voxels, metres. [default: what suits the cameras]"),
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that make the views.")] = 2,
+) -> None:
+    """Put a fleet together without network and clicks, merge its map, and lay it beside the truth:
+    how far poses move points, how far the map is from the true cloud and the true cloud from the
+    map, and how far noise alone would bring it, with the poses true.
+
+    Writes map.ply, map.png and summary.json.
+    """
+    from evaluation.mapping.command import MapOptions, run
+
+    kind = clouds.value if clouds else None
+    run(MapOptions(data, kind, robots, first, voxel_m, workers), out)
 
 
 @app.command()

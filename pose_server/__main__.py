@@ -1,12 +1,19 @@
 """`pose-server`: runs the server of a site, or a router."""
 
 import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import typer
 
 from protocol.errors import FleetPoseError
+
+if TYPE_CHECKING:
+    from pose_server.mapping.files import MapFiles
+    from pose_server.mapping.scene import Scene
+
+T = TypeVar("T")
 
 app = typer.Typer(
     help="Knows where the robots of a site are relative to each other, and tells them.",
@@ -105,21 +112,66 @@ StateDir = Annotated[Path, typer.Option(help="Folder of the server's journal.")]
 
 @app.command("export")
 def export_session(
-    out: Annotated[Path, typer.Option(help="Folder to make.")],
+    out: Annotated[Path | None, typer.Option(help="Folder to make, for the session.")] = None,
+    map_file: Annotated[
+        Path | None,
+        typer.Option("--map", help="PLY file to write: the clouds of all located robots."),
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Picture of these with cameras, links and errors: png, pdf, svg, jpg."),
+    ] = None,
+    voxel_m: Annotated[
+        float | None,
+        typer.Option(
+            help="Edge of the map's voxels, metres; if not told, half the cameras' depth sigma at "
+            "the scene's depth, at least two pixels."
+        ),
+    ] = None,
     state_dir: StateDir = Path("fleetpose-state"),
 ) -> None:
-    """Writes what a server knows as files: the operators' correspondences (JSON, CSV, with the
-    images they were clicked in), the pose graph (g2o) and where the robots' keyframes are (TUM).
+    """Writes what a server knows as files. The server may be running.
 
-    The server may be running. Look at a trajectory with `evo_traj tum OUT/trajectories/*/*.tum`.
+    --out: the operators' correspondences (JSON, CSV, with the images they were clicked in), the
+    pose graph (g2o) and where the robots' keyframes are (TUM). Look at a trajectory with `evo_traj
+    tum OUT/trajectories/*/*.tum`.
+
+    --map, --picture: the fleet in 3D, in the frame of the fleet: the clouds of the keyframes of
+    all located robots. Each robot has one colour, and in the PLY file a number (`robot`, names in
+    its header). Points whose depth is known worse than to 5 % of the scene's depth are left out.
     """
+    from pose_server.mapping.files import MapFiles
     from pose_server.session.exporting import export
 
-    written = export(state_dir, out)
+    files = MapFiles(map_file, picture, voxel_m)
+    written = export(state_dir, out, files, lambda views: _watched(views, "views"))
+    if written.scene is not None:
+        _say_map(files, written.scene)
+    if out is not None:
+        print(
+            f"{out}: {written.correspondences} correspondences with {written.views} views; "
+            f"{written.keyframes} keyframes, {written.links} links, {written.components} components"
+        )
+
+
+def _watched(items: Sequence[T], what: str) -> Iterable[T]:
+    """Goes through them with a progress bar on standard error, if that is a terminal."""
+    from rich.console import Console
+    from rich.progress import track
+
+    console = Console(stderr=True)
+    return track(items, what, console=console, transient=True, disable=not console.is_terminal)
+
+
+def _say_map(files: "MapFiles", scene: "Scene") -> None:
+    made = scene.fleet_map
+    written = ", ".join(str(file) for file in (files.cloud, files.picture) if file is not None)
     print(
-        f"{out}: {written.correspondences} correspondences with {written.views} views; "
-        f"{written.keyframes} keyframes, {written.links} links, {written.components} components"
+        f"{written}: {len(made.points)} points of {len(made.robots)} robots, voxels of "
+        f"{made.voxel_m:.3g} m"
     )
+    if scene.missing:
+        print(f"not located, and not in the map: {', '.join(scene.missing)}")
 
 
 @app.command("import")

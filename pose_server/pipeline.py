@@ -6,7 +6,7 @@ journalled) -> `urgent_job` ~~ a worker kept for it aligns ~~ `take_result` -> `
 publishes what changed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -147,8 +147,13 @@ def take_result(site: Site, done: Done, now_s: float) -> None:
         _paired(site, done, now_s)
 
 
-def solve(site: Site, now_s: float) -> None:
-    """Solves the fleet's graph; the solution says which pairs are worth aligning next."""
+def solve(site: Site, now_s: float, wanted: Collection[ViewName] | None = None) -> None:
+    """Solves the fleet's graph; the solution says which pairs are worth aligning next.
+
+    Args:
+        wanted: keyframes whose covariances are wanted; if not told, those that robots hang on, as
+            far as it is their turn.
+    """
     nodes = site.keyframes()
     if not nodes:
         return
@@ -166,7 +171,7 @@ def solve(site: Site, now_s: float) -> None:
         newest=first,
         previous=site.solution,
         settings=_settings(site, nodes),
-        wanted=_covariances_due(site),
+        wanted=_covariances_due(site) if wanted is None else wanted,
     )
     site.dirty = False
     site.count("solves")

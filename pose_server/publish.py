@@ -151,12 +151,30 @@ def _why_not(
     covariance: Floats,
     depth_m: float,
 ) -> str:
-    if site.gauge is None or node.root != site.gauge:
-        return "no verified alignment joins it to the fleet's anchor, directly or through others"
-    if age_s > settings.fresh_s:
+    if age_s > settings.fresh_s and site.gauge is not None and node.root == site.gauge:
         return (
             f"its last pose is {age_s:.0f} s old: its newer views align with none of its keyframes"
         )
+    return why_misplaced(site, settings, node, T, covariance, depth_m)
+
+
+def why_misplaced(
+    site: Site,
+    settings: ServerSettings,
+    node: NodePose,
+    T: Floats,
+    covariance: Floats,
+    depth_m: float,
+) -> str:
+    """Why a robot that stands at a keyframe is not located there, however fresh its view is; empty
+    if it is.
+
+    Args:
+        T, covariance: its pose (4, 4) in the fleet frame by that keyframe, and its covariance.
+        depth_m: median depth of the keyframe.
+    """
+    if site.gauge is None or node.root != site.gauge:
+        return "no verified alignment joins it to the fleet's anchor, directly or through others"
     if node.verdict == "ambiguous":
         return "the links to it contradict each other"
     if node.p_grave > settings.located_grave:

@@ -67,6 +67,34 @@ def solve_ring(
         depth_m: median depth of the scene.
         seed: of names and order.
     """
+    names, solution = solution_of(views, answers, depth_m, seed)
+    arcs = connected(answers)
+    anchors = tuple(min(arc, key=lambda index: str(names[index])) for arc in arcs)
+    errors: dict[int, float] = {}
+    located = 0
+    for arc, anchor in zip(arcs, anchors, strict=True):
+        for index, T in _places(solution, names, sorted(answers), arc, anchor).items():
+            if index != anchor:
+                T_true = inverse(views[anchor].T_world_camera) @ views[index].T_world_camera
+                errors[index] = position_error_m(T_true, T)
+                located += solution.joined(names[anchor], names[index])
+    marked = {pair: _marked(solution, names, pair, answers[pair]) for pair in answers}
+    return Solved(errors, located / max(len(errors), 1), marked)
+
+
+def solution_of(
+    views: Mapping[int, TrueView],
+    answers: Mapping[Pair, ClickedAnswer],
+    depth_m: float,
+    seed: int = 0,
+    covariances: bool = False,
+) -> tuple[dict[int, ViewName], FleetSolution]:
+    """Names of the robots by index, and what the server's solver makes of the answers.
+
+    Args:
+        views, answers, depth_m, seed: like those of `solve_ring`.
+        covariances: whether those of all robots are wanted as well.
+    """
     rng = random.Random(seed)
     names = {index: ViewName(robot=name, epoch=new_epoch(), seq=0) for index, name in
              zip(views, distinct_names(len(views), rng), strict=True)}  # fmt: skip
@@ -79,20 +107,9 @@ def solve_ring(
         list(_clicks(names, pairs, answers)),
         newest={name.robot: name for name in nodes},
         settings=SolveSettings.at_depth(depth_m),
-        wanted=(),
+        wanted=nodes if covariances else (),
     )
-    arcs = connected(answers)
-    anchors = tuple(min(arc, key=lambda index: str(names[index])) for arc in arcs)
-    errors: dict[int, float] = {}
-    located = 0
-    for arc, anchor in zip(arcs, anchors, strict=True):
-        for index, T in _places(solution, names, sorted(answers), arc, anchor).items():
-            if index != anchor:
-                T_true = inverse(views[anchor].T_world_camera) @ views[index].T_world_camera
-                errors[index] = position_error_m(T_true, T)
-                located += solution.joined(names[anchor], names[index])
-    marked = {pair: _marked(solution, names, pair, answers[pair]) for pair in pairs}
-    return Solved(errors, located / max(len(errors), 1), marked)
+    return names, solution
 
 
 def _places(

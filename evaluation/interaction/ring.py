@@ -12,12 +12,14 @@ from evaluation.interaction.fleet import Pair, Solved, solve_ring
 from evaluation.interaction.hand import wrong_of
 from evaluation.interaction.ring_layout import Ring, rings_of
 from evaluation.interaction.ring_report import RingRow, ring_row, write_results, write_summaries
+from evaluation.interaction.ring_scene import ring_scene
 from evaluation.interaction.rows import ClickRow, click_row, named
 from evaluation.interaction.truth import true_pixels
 from evaluation.interaction.worker import ClickedAnswer, Plan, Recipe, Task, run_task
 from evaluation.report import output_folder, progress_bar
 from evaluation.scoring import Limits
 from evaluation.working import as_done, on_the_wire, worker_pool
+from pose_server.mapping.scene import Scene
 from protocol.errors import FleetPoseError
 
 RecipeOption = Literal["paper", "full", "both"]
@@ -92,8 +94,18 @@ def run(options: RingOptions, out: Path) -> dict[str, Any]:
                 _note_named(rows, answers, key, fleet)
             table = _table(rings, solved, rows, options)
             place = out if len(recipes) == 1 else output_folder(out / recipe)
+            if recipe == "full" and 0 in options.clicks:
+                own = {pair: answers[pair, 0, 0] for pair in _indices(rings[0][0].pairs)}
+                scene = ring_scene(rings[0][0], own, wires, depth_m, options.seed)
+                _draw(scene, rings[0][0], place / "fleet3d.png")
             summaries[recipe] = write_results(place, recipe, table, list(rows.values()), depth_m)
     return write_summaries(out, summaries)
+
+
+def _draw(scene: Scene, ring: Ring, path: Path) -> None:
+    from pose_server.mapping.picture import draw  # matplotlib takes a while
+
+    draw(scene, path, f"neighbours {ring.separation_deg:.3g} deg apart, no clicks")
 
 
 def _tasks(

@@ -88,7 +88,7 @@ def _nodes(
                 None if link is None else state.nodes[link.a],
                 covariance,
                 why,
-                # held by a link alone that was found wrong in the last round: nothing vouches for it
+                # nothing vouches for who is held by a link that was found wrong in the last round
                 grave.get(r.node, 1.0),
             )
     return poses

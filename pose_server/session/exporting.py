@@ -1,29 +1,27 @@
-"""A session as files: what `pose-server export` writes."""
+"""A session as files, and its map: what `pose-server export` writes."""
 
 import csv
-import sqlite3
-import tempfile
-from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from pose_server import pipeline
 from pose_server.correspondences.journal import Journal
 from pose_server.fleet import factors as gt
 from pose_server.fleet.links import links_of
 from pose_server.fleet.types import SolveSettings
 from pose_server.frames import body_pose
 from pose_server.geometry.se3 import quat_wxyz
-from pose_server.session.graph_store import read_graph
-from pose_server.session.restoring import folder_files, restored_site
+from pose_server.mapping.files import MapFiles
+from pose_server.mapping.located import Watched, map_of
+from pose_server.mapping.scene import Scene
+from pose_server.session.opening import ExportError, opened_session
 from pose_server.session.table import write_csv, write_json
+from pose_server.settings import ServerSettings
 from pose_server.site import Site
 from protocol.codec import pack, unpack
-from protocol.errors import FleetPoseError
 from protocol.messages import KeptView, View, ViewName
 
 Floats = npt.NDArray[np.floating]
@@ -43,52 +41,56 @@ views/                      the views that were clicked in, for `pose-server imp
 """
 
 
-class ExportError(FleetPoseError):
-    """There is nothing to export, or no place for it."""
-
-
 @dataclass(frozen=True)
 class Exported:
-    """How much was written."""
+    """How much was written.
 
-    correspondences: int
-    keyframes: int
-    links: int
-    components: int
-    views: int
+    Attributes:
+        scene: the map, if one was asked for.
+    """
+
+    correspondences: int = 0
+    keyframes: int = 0
+    links: int = 0
+    components: int = 0
+    views: int = 0
+    scene: Scene | None = None
 
 
-def export(state_dir: Path, out: Path) -> Exported:
-    """Writes the session of a state folder; its server may be running.
+def export(
+    state_dir: Path,
+    out: Path | None = None,
+    mapped: MapFiles = MapFiles(),  # noqa: B008 (frozen)
+    watched: Watched = iter,
+) -> Exported:
+    """Writes the session of a state folder, its map, or both; its server may be running.
+
+    Nothing is written where a map is asked for that there cannot be.
+
+    Args:
+        out: folder for the session.
+        mapped: files for the map.
+        watched: goes through the views of the map, e.g. with a progress bar.
 
     Raises:
-        FleetPoseError: there is no session, it cannot be read, or the folder not be written.
+        FleetPoseError: there is no session, it cannot be read, no robot is located, or a file or
+            the folder not be written.
     """
-    journal_file, graph_file = folder_files(state_dir)
-    if not journal_file.exists():
-        raise ExportError(
-            f"{state_dir} holds no session: give the --state-dir that the server was started with"
-        )
-    with tempfile.TemporaryDirectory(prefix="fleetpose-") as scratch:
-        copy = Path(scratch) / journal_file.name
+    mapped.check()
+    if out is None and not mapped.wanted:
+        raise ExportError("say what to write: --out FOLDER, --map FILE.ply or --picture FILE.png")
+    with opened_session(state_dir) as (site, journal):
+        scene = None
+        if mapped.wanted:
+            settings = ServerSettings.model_validate({})
+            scene = map_of(site, settings, mapped.voxel_m, watched)
+            mapped.write(scene)
+        if out is None:
+            return Exported(scene=scene)
         try:
-            uri = f"{journal_file.absolute().as_uri()}?mode=ro"
-            with (
-                closing(sqlite3.connect(uri, uri=True)) as source,
-                closing(sqlite3.connect(copy)) as target,
-            ):
-                source.backup(target)  # a moment of a server that may go on writing
-        except sqlite3.Error as error:
-            raise ExportError(f"{journal_file} cannot be read: {error}") from error
-        with Journal(copy) as journal:
-            site = restored_site(journal, read_graph(graph_file))
-            while site.dirty:  # choosing an anchor makes it dirty once more
-                pipeline.solve(site, 0.0)
-            pipeline.judge_correspondences(site)
-            try:
-                return _written(site, journal, out)
-            except OSError as error:
-                raise ExportError(f"--out {out}: {error.strerror or error}") from error
+            return replace(_written(site, journal, out), scene=scene)
+        except OSError as error:
+            raise ExportError(f"--out {out}: {error.strerror or error}") from error
 
 
 def _written(site: Site, journal: Journal, out: Path) -> Exported:

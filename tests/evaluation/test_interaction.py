@@ -298,3 +298,10 @@ def test_ring_writes_the_columns_that_were_agreed_on(tmp_path):
     assert len(asked) == 3 and asked["more clicks change it only slightly"] is None
     for name in ("summary.json", "fig9.png", "fig10.png"):
         assert (tmp_path / "out" / name).exists()
+
+
+def test_a_ring_is_drawn_by_the_full_recipe_also_where_it_joins_nobody(tmp_path):
+    write_posed_views(tmp_path / "set", count=3)
+    options = RingOptions(tmp_path / "set", "sparse_noisy", "full", clicks=(0,), workers=1)
+    run(options, tmp_path / "out")
+    assert (tmp_path / "out" / "fleet3d.png").read_bytes().startswith(b"\x89PNG")

@@ -99,6 +99,7 @@ def test_a_killed_server_has_its_graph_again_and_aligns_no_robots_anew(tmp_path)
             return len(between) >= 2 and graph.gauge is not None
 
         assert wait_until(lambda: all_located() and is_kept(), FIRST_POSE_S), fleet.tail("server")
+        assert mapped(tmp_path) == names  # while it runs
         epoch, before = pose(observer, "r2").server_epoch, pose(observer, "r3").T_fleet_robot
         fleet.kill("server")
         nobody = tmp_path / "nobody.txt"  # no pair is aligned by itself any more
@@ -109,6 +110,19 @@ def test_a_killed_server_has_its_graph_again_and_aligns_no_robots_anew(tmp_path)
         shift = pose(observer, "r3").T_fleet_robot[:3, 3] - before[:3, 3]
         assert np.linalg.norm(shift) < 0.01 * RADIUS_M
         assert pose(observer, "r1").gauge_revision == pose(observer, "r3").gauge_revision
+
+
+def mapped(folder: Path) -> tuple[str, ...]:
+    """Whom the map of the session shows that the server keeps."""
+    cloud, picture = folder / "map.ply", folder / "map.png"
+    options = ("--state-dir", str(folder / "state"), "--map", str(cloud), "--picture", str(picture))
+    command = [sys.executable, "-P", "-m", "pose_server", "export", *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    header = cloud.read_bytes().partition(b"end_header\n")[0].decode().splitlines()
+    assert int(next(line for line in header if "element vertex" in line).split()[-1]) > 10_000
+    return tuple(line.split()[-1] for line in header if line.startswith("comment robot"))
 
 
 @pytest.mark.timeout(240)

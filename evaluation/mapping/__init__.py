@@ -1,0 +1,1 @@
+"""Whether a fleet's map is where the place is."""
