@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pose_server.pairs.hearing import Hearing
     from pose_server.pairs.judging import PairResult
     from pose_server.pairs.views import PreparedView
+    from robot_agent.cameras.factory import CameraKind
 
 CACHED_VIEWS = 64
 
@@ -56,7 +57,9 @@ def use_one_thread() -> None:
     engine.use_one_thread()
 
 
-def encode(robot: str, camera: str, folder: Path, wire: Path, images: bool = True) -> float:
+def encode(
+    robot: str, camera: "CameraKind", folder: Path, wire: Path, images: bool = True
+) -> float:
     """Does an agent's work for one frame, writes the bytes to a file, returns the milliseconds.
     Without images it has the cloud alone.
     """

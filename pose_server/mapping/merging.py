@@ -17,8 +17,7 @@ Floats = npt.NDArray[np.floating]
 MOST_SIGMA = 0.05
 """Largest depth sigma of a point in the map, share of the scene's depth: what is known worse than a
 located robot has to be (`located_sigma`) only blurs the map. The limit is one length for near and
-far points, since a map is blurred by metres. On a ring of 72 synthetic robots it leaves out 22 % of
-the points; 2 % would leave out most of the house in their middle."""
+far points, since a map is blurred by metres."""
 _VOXELS_PER_SIGMA = 2.0
 """Of depths at the scene's depth: coarser voxels lose what is seen sideways, which is known much
 better, and finer ones leave depth noise that they could average."""
