@@ -1,6 +1,5 @@
 """A settled problem as the frozen solution that the rest of the server reads."""
 
-from collections import Counter
 from collections.abc import Iterable
 
 import gtsam
@@ -10,6 +9,7 @@ from pose_server.fleet import factors as gt
 from pose_server.fleet.layout import FleetInput, Layout
 from pose_server.fleet.links import CONTESTED, VERDICT_OF_RANK, VERIFIED
 from pose_server.fleet.settle import Found, contested_edges
+from pose_server.fleet.sharing import inflations
 from pose_server.fleet.types import (
     Bridge,
     ClickJudgement,
@@ -156,21 +156,19 @@ def _uncertainty(
 ) -> gt.Uncertainty:
     """Marginals of the components with wanted nodes, each for itself: a bad one spoils no other.
 
-    Edges of one view share its errors: the more of them there are, the less each of them adds.
-    Where edges agree better than their covariances say, they are surer than these.
+    Edges of one view share the errors of the points that they have in common (`sharing`). Where
+    edges agree better than their covariances say, they are surer than these.
     """
     asked = {layout.root[state.number[node]] for node in wanted}
     graphs = {root: gtsam.NonlinearFactorGraph() for root in asked}
     for root, graph in graphs.items():
         graph.push_back(gt.prior(root, gtsam.Pose3()))
     kept = [link for link, out in zip(found.links, found.fit.out, strict=True) if not out]
-    degrees = Counter(k for link in kept for k in (link.a, link.b))
+    shared = inflations(kept, found.poses, state.settings.shared_share) if kept else ()
     factor = {root: _variance_factor(state, layout, found, root) for root in graphs}
-    for link in kept:
+    for link, inflation in zip(kept, shared, strict=True):
         if (root := layout.root[link.a]) in graphs:
-            beside = (degrees[link.a] + degrees[link.b]) / 2 - 1
-            shared = 1.0 + state.settings.shared_share * beside
-            graphs[root].push_back(gt.between(link, factor[root] * shared))
+            graphs[root].push_back(gt.between(link, factor[root] * float(inflation)))
     for (a, b), told in found.told.items():
         if (root := layout.root[a]) in graphs:
             graphs[root].push_back(gt.click_factor(a, b, told))

@@ -119,8 +119,9 @@ class SolveSettings:
             independent witnesses join components together.
         inlier_probability: share of right edges that pass the test against outliers.
         click_robust_sigmas: from where on a click counts less.
-        shared_share: of an edge's variance that it has in common with each other edge of its views;
-            covariances allow for it.
+        shared_share: of an edge's variance that it has in common with another edge of one of its
+            views on the same points: less than half, since the other half is the other view's. Set
+            by `pose-eval restarts --offline` of church_herzjesu and ring_temple.
         unit_weight: squared residual of an edge per degree of freedom, where its covariance is
             right: the rest of its error is its views' own and shows in no cycle. A fleet that
             closes better is surer than its edges say.
@@ -139,7 +140,7 @@ class SolveSettings:
     inlier_probability: float = 0.999
     click_robust_sigmas: float = 4.0
     outvoted_limit: int = 8
-    shared_share: float = 0.25
+    shared_share: float = 0.4
     unit_weight: float = 0.4
     unit_weight_dof: float = 12.0
     least_variance: float = 0.25
