@@ -30,9 +30,9 @@ class StrippedFolder:
     @property
     def camera(self) -> Literal["views", "rgbd", "cloud"]:
         """The agent's `--camera`."""
-        if self.views[0].image == self.views[0].cloud:
-            return "cloud"
-        return "views" if (self.path / "cameras.json").exists() else "rgbd"
+        if (self.path / "cameras.json").exists():
+            return "views"
+        return "rgbd" if (self.path / "camera-intrinsics.txt").exists() else "cloud"
 
 
 def random_name(rng: random.Random, first: str = "r") -> str:

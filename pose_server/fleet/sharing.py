@@ -54,7 +54,7 @@ def overlaps(centres: Floats, spreads: Floats) -> Floats:
     blurred = spreads + _BLUR * np.trace(spreads, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     mean = 0.5 * (blurred[:, None] + blurred[None])
     apart = centres[:, None] - centres[None]
-    known = np.isfinite(apart).all(axis=2)
+    known = np.isfinite(apart.sum(axis=2))
     apart = np.where(known[..., None], apart, 0.0)
     distance = np.einsum("nmi,nmi->nm", apart, np.linalg.solve(mean, apart[..., None])[..., 0])
     logs = np.linalg.slogdet(blurred)[1]
