@@ -1,7 +1,9 @@
 """Which cameras give mirrored images, by which pairs of robots fit only if one of both is mirrored.
 
 A pair that fits as it is says that both cameras are alike, a pair that fits mirrored that they are
-not. So robots fall into two kinds; those of the smaller kind flip their images.
+not. So robots fall into two kinds; those of the smaller kind flip their images. One pair that fits
+mirrored by chance would accuse all who hang together with one of its robots: there must be as many
+such pairs as they accuse robots.
 """
 
 from collections import deque
@@ -47,8 +49,10 @@ class Mirrors:
                 continue
             fewer, more = sorted((ones, others), key=len)
             against = {robot: self._contradicted(robot, set(more)) for robot in fewer}
+            if sum(against.values()) < len(fewer):
+                continue
             if len(fewer) < len(more):
-                found.append(Flipped(against, True))
+                found.append(Flipped({r: by for r, by in against.items() if by}, True))
             else:
                 both = against | {robot: self._contradicted(robot, set(fewer)) for robot in more}
                 found.append(Flipped(both, False))

@@ -77,3 +77,15 @@ def test_robots_that_fit_as_they_are_are_of_one_kind_whatever_a_single_pair_says
         for a, b in (("r1", "r2"), ("r2", "r3"), ("r1", "r3")):
             said.note(a, b, (a, b) == odd)
         assert said.flipped() == []
+
+
+def test_one_pair_that_fits_mirrored_by_chance_accuses_nobody_who_fits_others():
+    said = Mirrors()
+    for a, b in (("r1", "r2"), ("r2", "r3"), ("r4", "r5"), ("r5", "r6"), ("r6", "r7")):
+        said.note(a, b, False)
+    said.note("r3", "r4", True)
+    assert said.flipped() == []
+    for a, b in (("r2", "r4"), ("r2", "r5")):
+        said.note(a, b, True)
+    (found,) = said.flipped()
+    assert found.sure and found.robots == {"r2": 2, "r3": 1}
