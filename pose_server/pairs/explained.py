@@ -96,8 +96,7 @@ def explained(pair: Pair, T: Floats, agreeing: Indices, unguided: Bools) -> Expl
         agreeing: (M, 2) matches that agree with it.
         unguided: (R,) which of `pair.ratio` do.
     """
-    of_j = visible_in(pair.j, pair.i, T, pair.sigma)
-    of_i = visible_in(pair.i, pair.j, inverse(T), pair.sigma)
+    of_i, of_j = visible_at(pair, T)
     places_i = count_places(pair.i.observed.uv[of_i.mask])
     places_j = count_places(pair.j.observed.uv[of_j.mask])
     found_i = count_places(pair.i.observed.uv[agreeing[:, 0]])
@@ -107,16 +106,32 @@ def explained(pair: Pair, T: Floats, agreeing: Indices, unguided: Bools) -> Expl
     return Explained(
         visible=min(places_i, places_j),
         share=min(found_i, found_j) / max(min(places_i, places_j), 1),
-        holes=min(
-            holes(pair.i.observed.uv, of_i, agreeing[:, 0]),
-            holes(pair.j.observed.uv, of_j, agreeing[:, 1]),
-        ),
+        holes=_holes_of_both(pair, of_i, of_j, agreeing),
         unguided_share=float((unguided & expected).sum() / max(expected.sum(), 1)),
         parallax_rad=_median(np.concatenate((of_i.parallax_rad, of_j.parallax_rad))),
         scale=_median(np.concatenate((of_i.scale, of_j.scale))),
         front=front,
         sides=sides,
     )
+
+
+def visible_at(pair: Pair, T: Floats) -> tuple[Visible, Visible]:
+    """What i's points and j's should be seen of in the other view at a pose T_i_j; several steps
+    ask about one pose.
+    """
+    key = T.tobytes()
+    if key not in pair.memo:
+        pair.memo[key] = (
+            visible_in(pair.i, pair.j, inverse(T), pair.sigma),
+            visible_in(pair.j, pair.i, T, pair.sigma),
+        )
+    return pair.memo[key]
+
+
+def _holes_of_both(pair: Pair, of_i: Visible, of_j: Visible, agreeing: Indices) -> float:
+    """The smaller share of both views; the second is not asked where the first has none."""
+    first = holes(pair.i.observed.uv, of_i, agreeing[:, 0])
+    return min(first, holes(pair.j.observed.uv, of_j, agreeing[:, 1])) if first > 0.0 else 0.0
 
 
 def visible_in(

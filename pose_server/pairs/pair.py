@@ -1,6 +1,7 @@
 """Two views side by side: matches between them, and how well a pose explains both."""
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -45,6 +46,7 @@ class Pair:
         self.depth_m = 0.5 * (i.median_depth_m + j.median_depth_m)
         self.sigma = float(np.hypot(i.surface.depth_sigma, j.surface.depth_sigma))
         self.looks = i.looks and j.looks  # else nothing can be matched by what it looks like
+        self.memo: dict[bytes, Any] = {}  # what is known of poses, by whoever found it out
         self._guided: dict[tuple[bytes, float, bool], Indices] = {}
 
     @cached_property

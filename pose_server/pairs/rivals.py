@@ -25,7 +25,7 @@ from pose_server.pairs.explained import (
     PARALLAX_RAD,
     count_places,
     empty_parts,
-    visible_in,
+    visible_at,
 )
 from pose_server.pairs.pair import OWN_NOISE, Pair
 from pose_server.pairs.views import PreparedView
@@ -108,9 +108,10 @@ def rivals_of(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
     winner = _Claim.of(pair, T)
     worth = max(_LEAST_PLACES, _WORTH * winner.places)
     rivals: list[Rival] = []
+    looked_at: list[Floats] = []
     for pose in poses:
-        rival = _rival(pair, winner, pose, worth)
-        if rival is not None and not any(pair.same_pose(rival.T_i_j, r.T_i_j) for r in rivals):
+        rival = _rival(pair, winner, pose, worth, looked_at)
+        if rival is not None:
             rivals.append(rival)
     rivals = sorted(rivals, key=lambda one: -one.places)[:_MOST_RIVALS]
     return _joined(pair, rivals, shifted)
@@ -239,8 +240,12 @@ def _elsewhere_in(i: PreparedView, j: PreparedView, matches: Indices) -> Indices
     return np.column_stack((lifted[best[rows, columns]], matches[rows, 1]))
 
 
-def _rival(pair: Pair, winner: "_Claim", pose: Floats, worth: float) -> Rival | None:
-    """A coarse pose as a rival, if it is one: refined, it finds so many places again."""
+def _rival(
+    pair: Pair, winner: "_Claim", pose: Floats, worth: float, looked_at: list[Floats]
+) -> Rival | None:
+    """A coarse pose as a rival, if it is one: refined, it finds so many places again, and is none
+    of those that were looked at, to which it is added.
+    """
     around = pair.guided(pose, _RADIUS)
     if len(around) < worth:
         return None
@@ -250,6 +255,9 @@ def _rival(pair: Pair, winner: "_Claim", pose: Floats, worth: float) -> Rival | 
         return None
     if not pair.gravely_apart(pose, winner.T_i_j):
         return None
+    if any(pair.same_pose(pose, other) for other in looked_at):
+        return None
+    looked_at.append(pose)
     agreeing = pair.exact(pose, around)
     if len(agreeing) < worth:
         return None
@@ -308,10 +316,7 @@ class _Claim:
 
     @classmethod
     def of(cls, pair: Pair, T: Floats) -> "_Claim":
-        seen = (
-            visible_in(pair.i, pair.j, inverse(T), pair.sigma),
-            visible_in(pair.j, pair.i, T, pair.sigma),
-        )
+        seen = visible_at(pair, T)
         matches = union(pair.guided(T, 0.006), pair.ratio)
         agreeing = pair.exact(T, matches)
         found = _masks(pair, agreeing)
