@@ -73,18 +73,21 @@ def note_arrival(site: Site, view: KeptView, now_ns: int) -> None:
 
 
 def note_motion(site: Site, view: ViewName, mask: Mask | None) -> None:
-    """Says that something moves in a robot's view, once while it goes on."""
+    """Says that something moves in a robot's view, once while it goes on; a second view must see it
+    too: in one alone a few wrong matches agree now and then.
+    """
     if mask is None or len(mask.moving) < _MOVING_POINTS or view not in site.views:
         return
     track, now_s = site.robot(view.robot).track, site.views[view].received_s
-    if now_s - track.motion_s > _MOTION_OVER_S:
+    goes_on = now_s - track.motion_s <= _MOTION_OVER_S
+    if goes_on and not track.motion_told:
         event = (
             f"something moves in {view.robot}'s view {view.seq}: what is around "
             f"{len(mask.moving)} points of it is left out of alignments"
         )
         site.say(event)
         log.info("%s", event)
-    track.motion_s = now_s
+    track.motion_s, track.motion_told = now_s, goes_on
 
 
 def judge_calibrations(site: Site) -> None:

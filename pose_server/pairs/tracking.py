@@ -54,7 +54,8 @@ class Track:
         past: older views that are being placed: they do not tell where the robot is now.
         masks: where something moves, of the views of which that is known.
         blind: keyframes in a row that hang by odometry alone.
-        motion_s: when something was seen to move last, by the server's monotonic clock.
+        motion_s: when something was seen to move last, by the server's monotonic clock;
+            motion_told: whether operators were told of that.
     """
 
     keyframes: list[ViewName] = field(default_factory=list)
@@ -64,6 +65,7 @@ class Track:
     past: set[ViewName] = field(default_factory=set)
     masks: dict[ViewName, Mask] = field(default_factory=dict)
     motion_s: float = -np.inf
+    motion_told: bool = False
     blind: int = 0
     _tried: dict[ViewName, list[ViewName]] = field(default_factory=dict)
     _fallback: dict[ViewName, Attached] = field(default_factory=dict)

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pose_server.alarms import note_motion
 from pose_server.correspondences.book import Book
 from pose_server.following import followed, newest_arrived
 from pose_server.geometry.motion import Mask, moves_together
@@ -116,3 +117,17 @@ def test_the_server_keeps_a_mask_as_long_as_its_view_and_workers_get_it():
     assert both.verdict == "verified"
     robot.track.forget({first.name, second.name})
     assert not robot.track.masks
+
+
+def test_motion_is_told_once_a_second_view_sees_it_and_not_again_while_it_goes_on():
+    site = Site(Book(Forgetful()))
+    site.robot("r1")
+    messages = views_of_one_robot(np.random.default_rng(3), 0.6)[:2]
+    mask = Mask(np.ones((20, 2)), np.zeros((20, 2)), 5.0)
+    told = []
+    for at_s in (0.0, 100.0, 101.0, 102.0, 110.0, 300.0):
+        view = replace(kept(messages[0]), received_s=at_s)
+        site.views.keep(view)
+        note_motion(site, view.name, mask)
+        told.append(sum("something moves in r1's view" in event for event in site.events))
+    assert told == [0, 0, 1, 1, 1, 1]
