@@ -14,6 +14,7 @@ from evaluation.options import (
     World,
     numbers,
     only_one,
+    refuse_offline,
 )
 
 app = typer.Typer()
@@ -76,6 +77,18 @@ def fleet(
     if offline:
         from evaluation.offline import command
 
+        refuse_offline(
+            {
+                "--recipe paper": recipe != "full",
+                "--world": world is not None,
+                "--clicks-per-minute": clicks_per_minute > 0,
+                "--clicks-on-skipped": clicks_on_skipped > 0,
+                "--skip-pairs": skip_pairs is not None,
+                "--mistakes": mistakes > 0,
+                "--cluster": cluster is not None,
+                "--moving": moving,
+            }
+        )
         drawn = command.OfflineOptions(sets, kind, seeds, robots, named, workers)
         command.run(drawn, out)
         return

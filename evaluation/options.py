@@ -1,6 +1,6 @@
 """Options that several commands have in common."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -85,3 +85,19 @@ def only_one(option: str, given: Sequence[Path] | None) -> Path | None:
     if given and len(given) > 1:
         raise FleetPoseError(f"{option} {given[1]}: give one here, several only with --offline")
     return given[0] if given else None
+
+
+def refuse_offline(live_only: Mapping[str, bool]) -> None:
+    """Refuses options of live fleets beside --offline, rather than leaving them out unsaid.
+
+    Args:
+        live_only: such options, and whether they were given.
+
+    Raises:
+        FleetPoseError: one was.
+    """
+    from protocol.errors import FleetPoseError
+
+    given = [option for option, is_given in live_only.items() if is_given]
+    if given:
+        raise FleetPoseError(f"{' and '.join(given)}: of live fleets only, leave --offline out")

@@ -5,7 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from evaluation.__main__ import app
 from evaluation.datasets import open_recording
 from evaluation.offline.command import OfflineOptions, run
 from evaluation.offline.fleet import Fleet, Placed, draw_views
@@ -149,3 +151,14 @@ def test_several_recordings_are_for_offline_fleets_only(tmp_path):
         only_one("--data", both)
     with pytest.raises(DataFolderError, match="--data"):
         run(OfflineOptions(()), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "option",
+    [("--recipe", "paper"), ("--world", "halls"), ("--moving",), ("--clicks-per-minute", "6")],
+    ids=lambda option: option[0],
+)
+def test_what_only_live_fleets_have_is_refused_offline(tmp_path, option):
+    result = CliRunner().invoke(app, ["fleet", "--offline", "--out", str(tmp_path), *option])
+    assert result.exit_code != 0
+    assert option[0] in str(result.exception) and "--offline" in str(result.exception)
