@@ -7,6 +7,7 @@ that rest on different parts of what it sees have not.
 
 from collections import defaultdict
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,7 @@ import numpy.typing as npt
 from pose_server.fleet.links import Link
 
 Floats = npt.NDArray[np.floating]
+Indices = npt.NDArray[np.int64]
 
 _UNKNOWN = 0.5  # overlap of structures of which one is not known
 _BLUR = 0.1  # of a structure's whole variance, to each side: depth noise must not tell planes apart
@@ -40,23 +42,29 @@ def inflations(links: Sequence[Link], poses: Sequence[Floats], share: float) -> 
     for k, link in enumerate(links):
         at[link.a].append(k)
         at[link.b].append(k)
-    for numbers in at.values():
-        if len(numbers) > 1:
-            common = overlaps(centres[numbers], spreads[numbers])
-            out[numbers] += 0.5 * share * (common.sum(axis=1) - common.diagonal())
+    both = [pair for numbers in at.values() for pair in combinations(numbers, 2)]
+    if both:
+        first, second = np.array(both, np.int64).T
+        common = overlaps(centres, spreads, first, second)
+        for number in (first, second):
+            np.add.at(out, number, 0.5 * share * common)
     return out
 
 
-def overlaps(centres: Floats, spreads: Floats) -> Floats:
-    """(N, N) how much point sets overlap, 0 to 1, by their middles (N, 3) and covariances
-    (N, 3, 3): the Bhattacharyya coefficient of the blurred normal distributions.
+def overlaps(centres: Floats, spreads: Floats, first: Indices, second: Indices) -> Floats:
+    """(M,) how much point sets overlap, 0 to 1: the Bhattacharyya coefficient of the blurred normal
+    distributions.
+
+    Args:
+        centres, spreads: their middles (N, 3) and covariances (N, 3, 3).
+        first, second: (M,) which are compared.
     """
     blurred = spreads + _BLUR * np.trace(spreads, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    mean = 0.5 * (blurred[:, None] + blurred[None])
-    apart = centres[:, None] - centres[None]
-    known = np.isfinite(apart.sum(axis=2))
-    apart = np.where(known[..., None], apart, 0.0)
-    distance = np.einsum("nmi,nmi->nm", apart, np.linalg.solve(mean, apart[..., None])[..., 0])
+    mean = 0.5 * (blurred[first] + blurred[second])
+    apart = centres[first] - centres[second]
+    known = np.isfinite(apart.sum(axis=1))
+    apart = np.where(known[:, None], apart, 0.0)
+    distance = np.einsum("mi,mi->m", apart, np.linalg.solve(mean, apart[..., None])[..., 0])
     logs = np.linalg.slogdet(blurred)[1]
-    spread = np.linalg.slogdet(mean)[1] - 0.5 * (logs[:, None] + logs[None])
+    spread = np.linalg.slogdet(mean)[1] - 0.5 * (logs[first] + logs[second])
     return np.where(known, np.exp(-0.125 * distance - 0.5 * spread), _UNKNOWN)

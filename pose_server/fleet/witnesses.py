@@ -104,14 +104,15 @@ def _doubt_lone_joins(
     a, b = np.array([(link.a, link.b) for link in links], np.int64).reshape(-1, 2).T
     chance = np.array(p_grave)
     odds = np.clip(np.log(chance + _NEVER) - np.log1p(_NEVER - chance), -_MOST_TOLD, _MOST_TOLD)
-    beyond: dict[int, set[int]] = {}
+    count = 1 + max((max(link.a, link.b) for link in links), default=0)
+    beyond = np.eye(count, dtype=bool)  # each node with all that hang on it
     for k, node in reversed(taken):
-        nodes = beyond.setdefault(node, set()) | {node}
-        beyond.setdefault(links[k].a + links[k].b - node, set()).update(nodes)
-        inside = np.isin(a, list(nodes)), np.isin(b, list(nodes))
-        across = inside[0] != inside[1]
+        beyond[links[k].a + links[k].b - node] |= beyond[node]
+        if links[k].structure is None:
+            continue  # a robot's own motion, or nothing is known of it
+        across = beyond[node][a] != beyond[node][b]
         across[k] = False
-        if links[k].structure is None or not across.any() or chance[across].min() < _POOR:
+        if not across.any() or chance[across].min() < _POOR:
             continue
         across[k] = True
         p_grave[k] = max(p_grave[k], float(1.0 / (1.0 + np.exp(-odds[across].mean()))))

@@ -16,9 +16,15 @@ def structures(rng, count):
     return rng.normal(size=(count, 3)), roots @ roots.transpose(0, 2, 1) + 0.01 * np.eye(3)
 
 
+def all_overlaps(centres, spreads):
+    """(N, N) of all with all."""
+    first, second = (grid.ravel() for grid in np.indices((len(centres), len(centres))))
+    return overlaps(centres, spreads, first, second).reshape(len(centres), -1)
+
+
 def test_overlap_is_one_with_itself_symmetric_and_between_none_and_all():
     centres, spreads = structures(np.random.default_rng(0), 12)
-    found = overlaps(centres, spreads)
+    found = all_overlaps(centres, spreads)
     np.testing.assert_allclose(found.diagonal(), 1.0)
     np.testing.assert_allclose(found, found.T, atol=1e-12)
     assert (found > 0).all() and (found <= 1 + 1e-12).all()
@@ -28,20 +34,20 @@ def test_overlap_does_not_depend_on_the_frame_nor_the_unit():
     centres, spreads = structures(np.random.default_rng(1), 6)
     T = exp_se3(np.random.default_rng(2).normal(size=6))
     R = T[:3, :3]
-    moved = overlaps(5 * (centres @ R.T + T[:3, 3]), 25 * R @ spreads @ R.T)
-    np.testing.assert_allclose(moved, overlaps(centres, spreads), atol=1e-9)
+    moved = all_overlaps(5 * (centres @ R.T + T[:3, 3]), 25 * R @ spreads @ R.T)
+    np.testing.assert_allclose(moved, all_overlaps(centres, spreads), atol=1e-9)
 
 
 @pytest.mark.parametrize(("apart_m", "low", "high"), [(0.0, 0.99, 1.0), (50.0, 0.0, 0.01)])
 def test_overlap_falls_with_distance(apart_m, low, high):
     centres = np.array([[0.0, 0.0, 0.0], [apart_m, 0.0, 0.0]])
-    found = overlaps(centres, np.stack([np.eye(3)] * 2))[0, 1]
+    found = all_overlaps(centres, np.stack([np.eye(3)] * 2))[0, 1]
     assert low <= found <= high
 
 
 def test_what_is_not_known_is_between_both():
     centres = np.array([[0.0, 0.0, 0.0], [np.nan, np.nan, np.nan]])
-    found = overlaps(centres, np.stack([np.eye(3)] * 2))
+    found = all_overlaps(centres, np.stack([np.eye(3)] * 2))
     assert 0.1 < found[0, 1] < 0.9
 
 
