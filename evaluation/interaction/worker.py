@@ -162,9 +162,10 @@ class Spent:
 @contextmanager
 def timed_icp() -> Iterator[Spent]:
     """Adds up all ICP of the server's alignments meanwhile, whichever of their steps asks for it:
-    rough ICP from shapes, that of `with_surfaces`, and what is left at the end.
+    rough ICP from shapes, that of `with_surfaces`, what is left at the end, and that of clouds
+    alone.
     """
-    from pose_server.pairs import refining
+    from pose_server.pairs import refining, surfaces
 
     spent = Spent()
 
@@ -178,12 +179,16 @@ def timed_icp() -> Iterator[Spent]:
 
         return call
 
-    rough, fine = refining.gicp, refining.registered
-    refining.gicp, refining.registered = timed(rough), timed(fine)
+    steps = [(refining, "gicp"), (refining, "registered"), (surfaces, "gicp")]
+    steps.append((surfaces, "by_open3d"))
+    before = [getattr(module, name) for module, name in steps]
+    for (module, name), function in zip(steps, before, strict=True):
+        setattr(module, name, timed(function))
     try:
         yield spent
     finally:
-        refining.gicp, refining.registered = rough, fine
+        for (module, name), function in zip(steps, before, strict=True):
+            setattr(module, name, function)
 
 
 def with_wide(view: "EncodedView", wire: Path) -> "EncodedView":

@@ -226,21 +226,24 @@ def test_a_robot_that_is_not_located_counts_where_its_neighbour_stands(tmp_path,
 
 def test_all_icp_counts_whichever_step_asks_for_it(cloud):
     from pose_server.geometry.icp import dense_cloud
-    from pose_server.pairs import refining
+    from pose_server.pairs import refining, surfaces
 
     users = [
         path.name
         for path in (Path(refining.__file__).parents[1]).rglob("*.py")
         if re.search(r"import .*\bgicp\b|small_gicp\.align\b", path.read_text())
     ]
-    assert sorted(users) == ["icp.py", "refining.py"]  # it is timed where `refining` calls it
-    icp, one = refining.gicp, dense_cloud(cloud, 0.1)
-    with timed_icp() as spent:
-        refining.gicp(one, one, np.eye(4), 0.1)
-        once_ms = spent.ms
-        refining.gicp(one, one, np.eye(4), 0.1)
-    assert 0.0 < once_ms < spent.ms
-    assert refining.gicp is icp
+    # it is timed where these two call it
+    assert sorted(users) == ["icp.py", "refining.py", "surfaces.py"]
+    one = dense_cloud(cloud, 0.1)
+    for module in (refining, surfaces):
+        icp = module.gicp
+        with timed_icp() as spent:
+            module.gicp(one, one, np.eye(4), 0.1)
+            once_ms = spent.ms
+            module.gicp(one, one, np.eye(4), 0.1)
+        assert 0.0 < once_ms < spent.ms
+        assert module.gicp is icp
 
 
 def ring(clicks, median_m, success=0.9, mean_m=1.0):
