@@ -35,7 +35,6 @@ _TELLING = 80  # expected points: fewer may all be missed by a right pose
 _BLANK = 40  # visible points: with fewer it is as if there were no images
 _MAX_SEEN_THROUGH, _MIN_AGREE, _COMPARED = 0.25, 0.25, 20  # as in the verdict
 _UNSURE, _MOSTLY = 0.05, 0.5
-_THROUGH = 0.1  # seen through at most where surfaces alone speak for a pose
 _TILTED_RAD = np.radians(30.0)  # no robot knows gravity worse
 
 
@@ -103,9 +102,8 @@ def hear(pair: Pair, T: Floats, sigma: float = 0.0) -> Heard:
         return Heard(T, "against", 0.0, why)
     if seen.compared >= _COMPARED and seen.agree < _MIN_AGREE and sigma < _UNSURE:
         return Heard(T, "against", 0.0, f"only {seen.agree:.0%} of the surfaces would agree")
-    if not pair.looks:
-        told = seen.compared >= _COMPARED and seen.agree > _MOSTLY and seen.through < _THROUGH
-        return Heard(T, "for" if told and sigma < _UNSURE else "blank", seen.mean_agree)
+    if not pair.looks:  # a wall agrees wherever along it one clicks: that is no word for a pose
+        return Heard(T, "nothing" if pair.i.shaped and pair.j.shaped else "blank", 0.0)
     visible, parallax_rad = _visible(pair, T)
     found = found_again(pair, T)
     expected = visible * max(float(np.exp(-((parallax_rad / PARALLAX_RAD) ** 2))), LEAST_EXPECTED)

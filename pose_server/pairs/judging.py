@@ -202,7 +202,7 @@ def _collected(
     # copies of one spot in several tilted images tell one thing, not several
     places = _places(pair, matches[final.inliers])
     information = final.information * (places / max(int(final.inliers.sum()), 1))
-    covariance = _calibrated(information, pair.depth_m)
+    covariance = calibrated(information, pair.depth_m)
     if covariance is None:
         raise DegenerateGeometryError("the matches do not determine a pose")
     evidence = _evidence(pair, T, matches, final, again, covariance, places, seen)
@@ -292,18 +292,21 @@ def _rival(pair: Pair, T: Floats, ratio: Refinement | None, noise: NoiseScale) -
     return _places(pair, pair.ratio[theirs & ~own]), _places(pair, pair.ratio[own & ~theirs])
 
 
-def _calibrated(information: Floats, depth_m: float) -> Floats | None:
-    """(6, 6) covariance with the inflation and the floor that made it honest; None if it is not
-    determined.
+def calibrated(
+    information: Floats,
+    depth_m: float,
+    inflation: float = COVARIANCE_INFLATION,
+    floor: float = COVARIANCE_FLOOR,
+) -> Floats | None:
+    """(6, 6) covariance with the inflation and the floor that make it honest, those of matches
+    unless told; None if it is not determined.
     """
     scale = np.diag([1.0] * 3 + [1.0 / depth_m] * 3)  # positions as shares of the depth
     scaled = np.linalg.inv(scale) @ information @ np.linalg.inv(scale)
     values, vectors = np.linalg.eigh(scaled)
     if not np.isfinite(values).all() or values[0] <= 1e-9 * values[-1]:
         return None
-    covariance = COVARIANCE_INFLATION * (
-        vectors / values
-    ) @ vectors.T + COVARIANCE_FLOOR**2 * np.eye(6)
+    covariance = inflation * (vectors / values) @ vectors.T + floor**2 * np.eye(6)
     back = np.linalg.inv(scale)
     return back @ covariance @ back
 

@@ -18,7 +18,7 @@ from pose_server.geometry.matching import ratio_matches
 from pose_server.geometry.se3 import position_covariance
 from pose_server.geometry.triangles import poses_by_triangles
 from pose_server.pairs.evidence import SurfaceEvidence
-from pose_server.pairs.judging import PairResult, regression_error
+from pose_server.pairs.judging import PairResult, calibrated, regression_error
 from pose_server.pairs.pair import GRAVE_POSITION, GRAVE_ROTATION_RAD, Pair
 from pose_server.pairs.refining import Start
 from pose_server.pairs.registering import IcpReport
@@ -27,7 +27,6 @@ from pose_server.pairs.verdict import Verdict
 
 Floats = npt.NDArray[np.floating]
 
-_LEAST_POINTS = 300  # of a cloud: fewer have no surface whose shape could be told
 _TOO_FEW = "too few points to be aligned by their shape, and no image: clicks can"
 _SHAPE_SIGMA = 0.01  # of where a shape is, share of its depth
 _NOISE_BOUND = 0.03  # of a solver that forgives what is wrong alike, share of the depth
@@ -36,10 +35,10 @@ _FINE_RADIUS, _FINE_ITERATIONS = 0.04, 20
 _LOOKED_AT = 3  # of the poses after the rough ICP
 _LEAST_SIGMA = 1e-3  # of a surface, share of the depth: no sensor is better
 # Neighbouring points of a surface share their errors: inflated, with a floor for what a sensor gets
-# wrong alike everywhere (radians and shares of the depth), 96 % of the right poses of
-# rgbd_7scenes_redkitchen_A lie within 95 % of their covariance and of their reference's 0.05 m.
+# wrong alike everywhere (radians and shares of the depth). Set on rgbd_7scenes_redkitchen_A.
 _INFLATION, _FLOOR = 3.0, 0.01
 # Log odds of a grave error: of nothing, per unit of the surfaces' score, and of what a rival has.
+# Set by hand on rgbd_7scenes_redkitchen_A.
 _BIAS, _PER_SCORE, _PER_RIVAL = 3.0, -20.0, 12.0
 _PLAIN = 0.5  # score at which a robot that follows itself in small steps looks no further
 _MOST_THROUGH = 0.25  # as in the verdict by images
@@ -58,13 +57,13 @@ def align_surfaces(
         icp: how clouds are brought together in the end; searching takes GICP.
     """
     began = time.perf_counter()
-    if min(len(view.measured.points) for view in (pair.i, pair.j)) < _LEAST_POINTS:
+    if not (pair.i.shaped and pair.j.shaped):
         return PairResult(None, None, "rejected", (_TOO_FEW,))
     rough = [_roughly(pair, start.kind, start.T_i_j) for start in starts]
     if search:
         rough.append(_roughly(pair, "identity", np.eye(4)))
-    alone = pair.i.name.robot == pair.j.name.robot and max((o.score for o in rough), default=0.0)
-    if search and not alone > _PLAIN:
+    own = pair.i.name.robot == pair.j.name.robot
+    if search and not (own and max(one.score for one in rough) > _PLAIN):
         rough += [_roughly(pair, "shape", T) for T in _by_shape(pair)]
     if not rough:
         return PairResult(None, None, "rejected", ("no start, and nothing may be searched",))
@@ -207,12 +206,5 @@ def _verdict(e: SurfaceEvidence, chance: float) -> tuple[Verdict, tuple[str, ...
 def _covariance(pair: Pair, one: _Found) -> Floats | None:
     """(6, 6) of T_i_j by how the surfaces determine it; none where they let it slide."""
     assert one.fit is not None
-    scale = np.diag([1.0] * 3 + [1.0 / pair.depth_m] * 3)  # positions as shares of the depth
-    back = np.linalg.inv(scale)
     noise_m = max(pair.sigma, _LEAST_SIGMA) * pair.depth_m
-    information = back @ (one.fit.hessian / noise_m**2) @ back
-    values, vectors = np.linalg.eigh(information)
-    if not np.isfinite(values).all() or values[0] <= 1e-9 * values[-1]:
-        return None
-    covariance = _INFLATION * (vectors / values) @ vectors.T + _FLOOR**2 * np.eye(6)
-    return back @ covariance @ back
+    return calibrated(one.fit.hessian / noise_m**2, pair.depth_m, _INFLATION, _FLOOR)

@@ -111,6 +111,11 @@ class PreparedView:
         return replace(self, observed=observed, descriptors=self.descriptors[:count])
 
     @property
+    def shaped(self) -> bool:
+        """Whether there are enough points for a surface whose shape can be told."""
+        return len(self.measured.points) >= _SHAPED_POINTS
+
+    @property
     def dense(self) -> bool:
         """Whether ICP makes sense."""
         return len(self.measured.points) >= DENSE_POINTS

@@ -174,3 +174,18 @@ def test_poor_clouds_are_refused_and_never_crash(count, shape):
         assert np.isfinite(result.T_i_j).all()
     if count < 300 or shape in ("line", "spot"):
         assert result.verdict != "verified", result.reasons
+
+
+def test_wrong_clicks_along_a_wall_are_not_supported_by_the_wall():
+    rng = np.random.default_rng(0)
+    wall = np.column_stack((rng.uniform(-4, 4, (60_000, 2)), np.full(60_000, 3.0)))
+    i, j = view(wall, "r1", rng), view(wall - (0.7, 0.4, 0), "r2", rng)
+    p_j = np.array([[-0.8, -0.6, 3.0], [0.9, -0.5, 3.0], [0.2, 0.7, 3.0]])
+    p_i = p_j + np.array((1.5, -0.3, 0.0))  # 0.8 and 0.7 m off
+    uv_i, uv_j = ((p @ K.T)[:, :2] / p[:, 2:] for p in (p_i, p_j))
+    sigma = np.full(3, 0.01)
+    clicks = Clicks(uv_i, uv_j, p_i[:, 2], p_j[:, 2], sigma, sigma)
+    sets = operator_starts(i, j, clicks, ())
+    result = with_clicks(align_pair(i, j), sets, clicks, i, j)
+    assert result.hearing is not None
+    assert result.hearing.p_grave > 0.05  # nobody is located by them
