@@ -58,6 +58,11 @@ class TrueView:
     baseline_m: float | None = None
     ring_angle_deg: float | None = None
 
+    @property
+    def is_scan(self) -> bool:
+        """Whether it is a cloud without an image."""
+        return self.image == self.cloud
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -153,7 +158,7 @@ def points_of(view: TrueView) -> tuple[Floats, Floats]:
     if view.cloud.suffix == ".npz":
         with np.load(view.cloud) as arrays:
             return arrays["uv"].astype(np.float64), arrays["xyz_cam"].astype(np.float64)
-    if view.cloud == view.image:
+    if view.is_scan:
         from evaluation.scans import scan_points
 
         return scan_points(view.cloud)

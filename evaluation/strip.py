@@ -58,7 +58,7 @@ def strip(
     """
     folder.mkdir(parents=True)
     try:
-        if views[0].image == views[0].cloud:
+        if views[0].is_scan:
             _strip_scans(views, folder, rng)
         elif recording.is_rgbd:
             _strip_rgbd(views, folder)

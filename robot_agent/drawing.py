@@ -21,7 +21,7 @@ def picture_of(ranges: Ranges, model: Camera) -> npt.NDArray[np.uint8]:
     depth = _depth_image(ranges, model)
     seen = np.isfinite(depth)
     if not seen.any():
-        return np.zeros((*depth.shape, 3), np.uint8)
+        return np.zeros((model.height, model.width, 3), np.uint8)
     closeness = 1.0 / np.where(seen, depth, np.inf)
     low, high = np.percentile(closeness[seen], (2, 98))
     level = np.clip((closeness - low) / max(high - low, 1e-12), 0.0, 1.0)

@@ -48,10 +48,22 @@ class CloudFiles:
         self._order = replay_order(len(files), replay)
 
     def frames(self) -> Iterator[Frame]:
+        """Scans that have points ahead.
+
+        Raises:
+            DataFolderError: none has.
+        """
+        empty = 0  # in a row
         for index in self._order:
             frame = self._frame(self._files[index])
+            empty = empty + 1 if frame is None else 0
             if frame is not None:
                 yield frame
+            elif empty >= len(self._files):
+                raise DataFolderError(
+                    f"{self._files[0].parent}: no scan has {LEAST_POINTS} points ahead; are the "
+                    f"--axes '{self._axes}' right?"
+                )
 
     def close(self) -> None:
         """Nothing is held open."""

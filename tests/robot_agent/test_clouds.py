@@ -185,3 +185,18 @@ def test_the_picture_shows_where_there_is_something():
     assert far[0] > far[2]  # blue
     nothing = picture_of(ScatteredPoints(np.zeros((0, 2)), np.zeros(0)), model)
     assert not nothing.any()
+
+
+@pytest.mark.parametrize("replay", ["once", "loop", "hold"])
+def test_a_folder_of_nothing_but_empty_scans_ends_with_a_sentence(tmp_path, replay):
+    for name in ("a", "b"):
+        np.save(tmp_path / f"{name}.npy", np.zeros((0, 3)))
+    with pytest.raises(DataFolderError, match="axes"):
+        list(open_camera(str(tmp_path), replay).frames())
+
+
+def test_the_picture_of_a_coarse_depth_image_without_depth_has_the_cameras_size():
+    frame = frame_of(np.random.default_rng(0).normal((0, 0, 5), 0.3, (100, 3)))
+    assert frame is not None
+    model = frame.model.model_copy(update={"width": 64, "height": 48})
+    assert picture_of(DepthImage(np.full((24, 32), np.nan, np.float32)), model).shape == (48, 64, 3)
