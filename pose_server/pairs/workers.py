@@ -145,10 +145,10 @@ class LocalPool:
     def close(self) -> None:
         """Ends the workers."""
         for executor in self._executors:
-            processes = list((executor._processes or {}).values())
-            executor.shutdown(wait=False, cancel_futures=True)
-            for process in processes:
+            for process in list((executor._processes or {}).values()):
                 process.terminate()
+        for executor in self._executors:  # its thread must be done before the interpreter ends
+            executor.shutdown(wait=True, cancel_futures=True)
 
 
 def _is_free(last: "Future[PairResult] | None") -> bool:

@@ -7,6 +7,7 @@ import queue
 import signal
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -129,6 +130,15 @@ def test_a_damaged_view_fails_its_job_alone(engine):
     assert "CodecError" in failed.error
     pool.submit(job)
     assert final(pool, done).result is not None
+
+
+def test_a_pool_that_is_closed_while_it_starts_leaves_no_thread():
+    """One that outlives its pool writes into a closed pipe, and says so, as the process ends."""
+    before = set(threading.enumerate())
+    pool = LocalPool(2)
+    pool._executors[0].submit(len, bytes(50_000_000))  # more than the pipe holds
+    pool.close()
+    assert set(threading.enumerate()) <= before
 
 
 def test_workers_end_with_their_parent_however_that_ends():
