@@ -21,7 +21,7 @@ demo: $(READY) ## Six robots around a building find each other; q ends it.
 	@$(BIN)/python -m evaluation demo
 
 test: $(READY) lint ## Lint, types, import rules and all tests.
-	@$(BIN)/python -m pytest -n 2 --dist loadfile
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 lint: $(READY) ## ruff, pyright and the import rules.
 	@$(BIN)/ruff check .
