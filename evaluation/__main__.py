@@ -199,14 +199,15 @@ def clicks(
     located and gravely off: none is right), told_wrong, and recovered: three right clicks that are
     added afterwards win.
     """
-    from evaluation.interaction.clicks import ClicksOptions, run
+    from evaluation.interaction import clicks as clicking
+    from evaluation.interaction import deceived
     from evaluation.reconstructed import in_metres
 
     low, high = _numbers("--angles", angles, 2)
     fewest, most = _from_to("--clicks", clicks)
     if fewest < most and not consistent_wrong:
         raise typer.BadParameter(f"--clicks {clicks}: from..to goes with --consistent-wrong")
-    options = ClicksOptions(
+    options = clicking.ClicksOptions(
         data=in_metres(data, metres_per_unit),
         clouds=clouds.value if clouds else None,
         clicks=fewest,
@@ -222,7 +223,8 @@ def clicks(
         permuted=permuted,
         automatic=automatic,
     )
-    run(options, out)
+    deceives = options.consistent_wrong_m or options.permuted
+    (deceived if deceives else clicking).run(options, out)
 
 
 @app.command()

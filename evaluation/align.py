@@ -14,15 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from evaluation.align_worker import Timed, align_ours, align_peers, missing_peers
-from evaluation.datasets import (
-    CloudKind,
-    Recording,
-    TrueView,
-    median_depth_m,
-    open_recording,
-    shared_tracks,
-)
+from evaluation.datasets import CloudKind, Recording, TrueView, shared_tracks
 from evaluation.geometry import Floats, inverse
+from evaluation.opening import median_depth_m, open_recording
 from evaluation.pair_worker import true_overlap, use_one_thread
 from evaluation.pairs import as_done, limited, on_the_wire, pairs_of
 from evaluation.peers import PEERS, VOXEL_M

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from deploy.local_fleet import LocalFleet, wait_running
-from evaluation import load
-from evaluation.datasets import CloudKind, open_recording
+from evaluation.datasets import CloudKind
 from evaluation.fleet_report import FleetResult, write_results
 from evaluation.fleet_scoring import PoseNow, SampleRow, score_sample
 from evaluation.memory import Memory
 from evaluation.observer import Believed, Observer
+from evaluation.opening import open_recording
 from evaluation.operator import SimulatedOperator
 from evaluation.parts import parts_of
 from evaluation.report import output_folder, progress_bar
@@ -294,7 +294,7 @@ def start(
     """Starts router, world, server, with options of its own, and robots."""
     start_servers(fleet, plan, workers, state, skip_pairs, cluster, of_server)
     if plan.replayed:
-        replayed = load.arguments(plan, REPLAYED_RATE_HZ, plan.frames)
+        replayed = replay_arguments(plan, REPLAYED_RATE_HZ, plan.frames)
         fleet.start(LOAD, "evaluation", "load", *fleet.connection, *replayed)
         return
     for robot in plan.robots:
@@ -428,3 +428,13 @@ def _doing(observer: Observer, plan: FleetPlan) -> str:
 
 def _replaying(name: str, folder: StrippedFolder, replay: tuple[str, ...]) -> RobotPlan:
     return RobotPlan(name, folder.camera, str(folder.path), replay, RATE_HZ)
+
+
+def replay_arguments(plan: FleetPlan, rate_hz: float, frames: int) -> tuple[str, ...]:
+    """The arguments of `pose-eval load` for the robots of a plan."""
+    robots = [part for robot in plan.robots for part in ("--robot", _written(robot))]
+    return (*robots, "--rate", str(rate_hz), "--frames", str(frames))
+
+
+def _written(robot: RobotPlan) -> str:
+    return f"{robot.name},{robot.camera},{robot.data}"

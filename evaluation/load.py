@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING
 
 from protocol.codec import encoding_of, pack
 from protocol.errors import DataFolderError, FleetPoseError
@@ -34,9 +33,6 @@ from robot_agent.salient import salient_points
 from robot_agent.sender import SenderSettings
 from robot_agent.settings import CameraKind
 
-if TYPE_CHECKING:
-    from evaluation.fleet import FleetPlan, RobotPlan
-
 
 @dataclass(frozen=True)
 class Source:
@@ -57,16 +53,6 @@ class Source:
         if len(parts) != 3:
             raise FleetPoseError(f"'{text}' is no robot: write NAME,CAMERA,DATA")
         return cls(*parts)  # type: ignore[arg-type]
-
-
-def arguments(plan: "FleetPlan", rate_hz: float, frames: int) -> tuple[str, ...]:
-    """The arguments of `pose-eval load` for the robots of a plan."""
-    robots = [part for robot in plan.robots for part in ("--robot", _written(robot))]
-    return (*robots, "--rate", str(rate_hz), "--frames", str(frames))
-
-
-def _written(robot: "RobotPlan") -> str:
-    return f"{robot.name},{robot.camera},{robot.data}"
 
 
 def run(

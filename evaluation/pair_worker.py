@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.datasets import TrueView, points_of
+from evaluation.datasets import TrueView
 from evaluation.geometry import Floats
+from evaluation.opening import points_of
 from evaluation.scoring import OverlapCloud, overlap
 
 if TYPE_CHECKING:

@@ -14,16 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.datasets import (
-    CloudKind,
-    Recording,
-    TrueView,
-    are_partners,
-    median_depth_m,
-    open_recording,
-    shared_tracks,
-)
+from evaluation.datasets import CloudKind, Recording, TrueView, are_partners, shared_tracks
 from evaluation.geometry import inverse
+from evaluation.opening import median_depth_m, open_recording
 from evaluation.pair_row import PairRow
 from evaluation.pair_worker import Answer, align, prepare_ms, true_overlap
 from evaluation.pairs_report import write_results

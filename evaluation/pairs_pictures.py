@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.datasets import Recording, TrueView, points_of
+from evaluation.datasets import Recording, TrueView
 from evaluation.geometry import Floats, inverse, transform
+from evaluation.opening import points_of
 from evaluation.operator import by_tracks
 
 Image = npt.NDArray[np.uint8]

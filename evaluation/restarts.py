@@ -14,15 +14,7 @@ from typing import Any
 import numpy as np
 
 from deploy.local_fleet import LocalFleet, wait_running
-from evaluation.datasets import (
-    CloudKind,
-    Recording,
-    TrueView,
-    are_partners,
-    in_ring_order,
-    median_depth_m,
-    open_recordings,
-)
+from evaluation.datasets import CloudKind, Recording, TrueView, are_partners, in_ring_order
 from evaluation.fleet import (
     FleetOptions,
     open_link,
@@ -35,6 +27,7 @@ from evaluation.fleet_scoring import SampleRow, score_sample
 from evaluation.observer import Observer
 from evaluation.offline.fleet import Task, put_together
 from evaluation.offline.fleet import scored as scored_offline
+from evaluation.opening import median_depth_m, open_recordings
 from evaluation.report import output_folder, progress_bar
 from evaluation.restarts_report import PoseRow, scored, write_results
 from evaluation.scoring import RGBD_REFERENCE_SIGMA_M, Limits

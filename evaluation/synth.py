@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.datasets import DEPTH_UNIT_M
 from evaluation.geometry import Floats, inverse, transform
 from evaluation.interaction.truth import DEPTH_FOLDER
 from evaluation.report import output_folder, progress_bar
+from evaluation.rgbd import DEPTH_UNIT_M
 from evaluation.working import as_done, worker_pool
 from evaluation.world import PLANS, PlanWorld, RingWorld, World
 from protocol.errors import FleetPoseError

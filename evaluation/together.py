@@ -4,8 +4,9 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import combinations
 from typing import TypeVar
 
-from evaluation.datasets import Recording, TrueView, points_of, shared_tracks
+from evaluation.datasets import Recording, TrueView, shared_tracks
 from evaluation.geometry import Floats, inverse
+from evaluation.opening import points_of
 from evaluation.scoring import OverlapCloud, overlap
 
 TOGETHER_TRACKS, TOGETHER_OVERLAP = 30, 0.2

@@ -9,10 +9,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from evaluation.datasets import Recording, TrueView, median_depth_m
+from evaluation.datasets import Recording, TrueView
 from evaluation.geometry import Floats, inverse
 from evaluation.interaction.truth import true_pixels
 from evaluation.observer import SeenView, digest_of
+from evaluation.opening import median_depth_m
 from evaluation.operator import by_view_depth
 from evaluation.scoring import OverlapCloud
 from evaluation.strip import StrippedFolder

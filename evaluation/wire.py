@@ -10,17 +10,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.datasets import (
-    DEPTH_UNIT_M,
-    CloudKind,
-    Recording,
-    TrueView,
-    open_recording,
-    points_of,
-    read_depth,
-)
+from evaluation.datasets import CloudKind, Recording, TrueView
 from evaluation.geometry import Floats
+from evaluation.opening import open_recording, points_of
 from evaluation.report import output_folder, print_table, progress_bar, write_csv, write_summary
+from evaluation.rgbd import DEPTH_UNIT_M, read_depth
 from evaluation.strip import noise_model
 from protocol import clouds, codec
 from protocol.messages import (

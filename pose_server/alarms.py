@@ -21,9 +21,9 @@ from pose_server.calibration.findings import (
 from pose_server.calibration.memory import Said
 from pose_server.doubts import doubt_alarms
 from pose_server.geometry.motion import Mask
-from pose_server.pairs.engine import Done
 from pose_server.site import Site
 from pose_server.views import KeptView
+from pose_server.workers.jobs import Done
 from protocol.messages import Alarm, Camera, ViewName
 
 log = logging.getLogger("pose_server")

@@ -8,45 +8,23 @@ of them do.
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from pose_server.doubts import why_doubted
+from pose_server.site import Site
+from pose_server.state.robots import Robot
 from protocol.messages import Alarm, ViewName
-
-if TYPE_CHECKING:
-    from pose_server.site import Robot, Site
 
 PATIENCE_S = 5.0  # as long as a pose counts as fresh: so long nobody was located
 
 
-@dataclass
-class Anchoring:
-    """Which origins the fleet has had, and whether it waits for one.
-
-    Attributes:
-        asked: the robot that is to be the anchor by the settings.
-        origins: earlier ones.
-        left_s: since when no robot sees the origin's part of the map while some see each other.
-        waits_s: since when robots are there but not the one that is to be the anchor.
-        missing: what is said of an anchor that nobody has seen; empty if there is nothing to say.
-    """
-
-    asked: str | None = None
-    origins: list[ViewName] = field(default_factory=list)
-    left_s: float | None = None
-    waits_s: float | None = None
-    missing: str = ""
-
-
-def gauge_of(site: "Site", nodes: Sequence[ViewName]) -> ViewName | None:
+def gauge_of(site: Site, nodes: Sequence[ViewName]) -> ViewName | None:
     """The anchor's first keyframe; it stays the origin until the fleet has left it."""
     if site.gauge in nodes and site.gauge is not None and site.gauge.robot == site.anchor:
         return site.gauge
     return next((node for node in nodes if node.robot == site.anchor), None)
 
 
-def choose_anchor(site: "Site") -> None:
+def choose_anchor(site: Site) -> None:
     """The first robot by name of the largest component of two or more; once chosen it stays."""
     if site.anchor is not None or site.solution is None:
         return
@@ -58,7 +36,7 @@ def choose_anchor(site: "Site") -> None:
         site.say(f"{site.anchor} is the anchor: the fleet's origin")
 
 
-def note_anchor(site: "Site", now_s: float) -> None:
+def note_anchor(site: Site, now_s: float) -> None:
     """Moves the origin to where the fleet is once it has left the old one for some seconds, and
     says when the robot that is to be the anchor was never seen.
     """
@@ -78,7 +56,7 @@ def note_anchor(site: "Site", now_s: float) -> None:
         _move(site, root, elsewhere[root])
 
 
-def why_apart(site: "Site", robot: "Robot") -> str:
+def why_apart(site: Site, robot: Robot) -> str:
     """Why a robot is not joined to the fleet's origin."""
     if site.anchoring.missing:
         return site.anchoring.missing
@@ -103,21 +81,21 @@ def why_apart(site: "Site", robot: "Robot") -> str:
     return "no verified alignment joins it to the fleet's anchor, directly or through others"
 
 
-def anchor_alarms(site: "Site") -> tuple[Alarm, ...]:
+def anchor_alarms(site: Site) -> tuple[Alarm, ...]:
     """That the robot that is to be the anchor was never seen."""
     if not site.anchoring.missing or site.anchor is None:
         return ()
     return (Alarm(robot=site.anchor, kind="anchor", text=site.anchoring.missing),)
 
 
-def _sees_an_old_place(site: "Site", robot: "Robot") -> bool:
+def _sees_an_old_place(site: Site, robot: Robot) -> bool:
     newest, solution = robot.track.newest, site.solution
     if newest is None or solution is None:
         return False
     return any(solution.joined(newest.keyframe, origin) for origin in site.anchoring.origins)
 
 
-def _note_absent(site: "Site", now_s: float) -> None:
+def _note_absent(site: Site, now_s: float) -> None:
     """An anchor that has no keyframe although other robots have some: the one that was asked for is
     waited for and named; one of an earlier time is given up.
     """
@@ -140,7 +118,7 @@ def _note_absent(site: "Site", now_s: float) -> None:
         site.say(anchoring.missing)
 
 
-def _missing_text(site: "Site", anchor: str, seen: Sequence[str]) -> str:
+def _missing_text(site: Site, anchor: str, seen: Sequence[str]) -> str:
     what = f"no robot called {anchor} has been seen"
     if anchor in site.robots:
         what = f"no view of {anchor} has arrived"
@@ -150,7 +128,7 @@ def _missing_text(site: "Site", anchor: str, seen: Sequence[str]) -> str:
     )
 
 
-def _fleets(site: "Site", now_s: float) -> dict[ViewName, list[str]]:
+def _fleets(site: Site, now_s: float) -> dict[ViewName, list[str]]:
     """The robots whose newest view is fresh and believed, by the root of the component they see."""
     found: dict[ViewName, list[str]] = defaultdict(list)
     for name, robot in sorted(site.robots.items()):
@@ -163,7 +141,7 @@ def _fleets(site: "Site", now_s: float) -> dict[ViewName, list[str]]:
     return found
 
 
-def _move(site: "Site", root: ViewName, robots: Sequence[str]) -> None:
+def _move(site: Site, root: ViewName, robots: Sequence[str]) -> None:
     """The origin is in another component from now on: where it was there before, else at the first
     keyframe of the robot that was asked for, of the anchor, or of the first one by name.
     """

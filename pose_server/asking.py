@@ -1,107 +1,27 @@
 """What became of the questions: what operators looked at in vain, and what their clicks did."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pose_server.correspondences.book import Outcome
 from pose_server.fleet.questions import CLICKS_TO_JOIN, Standing, standing
+from pose_server.site import Site
+from pose_server.state.question_feedback import Look, Open
 from protocol.keys import ordered_pair
-from protocol.messages import Answer, Question, Selection, ViewName
-
-if TYPE_CHECKING:
-    from pose_server.site import Site
+from protocol.messages import Answer, Selection, ViewName
 
 RobotPair = tuple[str, str]
 ViewPair = tuple[ViewName, ViewName]
-Client = tuple[str, str]
 
 _LOOKED_S = 3.0  # a shorter glance says nothing
-_FRUITLESS = 0.2  # of the predicted gain
 _MOST_CLIENTS = 64
 _NOTHING_M = 1e-3  # a gain below it is none
 _MOST_ANSWERS = 10
 _MOST_LOOKED = 10_000
 
 
-@dataclass(frozen=True)
-class Look:
-    """A pair on an operator's screen: since when, and how many correspondences it had then."""
-
-    pair: RobotPair
-    keyframes: ViewPair
-    since_s: float
-    correspondences: int
-
-
-@dataclass
-class Open:
-    """Clicks in a pair whose effect is still being watched.
-
-    Attributes:
-        predicted_m: drop of the mean sigma per click, as the pair was asked for.
-        before: how the fleet stood.
-        told: whether an event said what they did.
-    """
-
-    pair: RobotPair
-    predicted_m: float
-    before: Standing
-    clicks: int = 0
-    told: bool = False
-
-
-@dataclass(frozen=True)
-class Asked:
-    """Questions, and from what they were ranked, when: the parts of the fleet and who is asked
-    about, and the numbers, which change with every solve. `shown` are the same with suggestions,
-    about views of now.
-    """
-
-    parts: object = None
-    numbers: object = None
-    at_s: float = float("-inf")
-    questions: tuple[Question, ...] = ()
-    shown: tuple[Question, ...] | None = None
-    shown_s: float = float("-inf")
-
-
-@dataclass
-class Asking:
-    """Memory of questions and answers.
-
-    Attributes:
-        looks: what each operator's client shows now.
-        in_vain: how often keyframes were looked at without a click.
-        open: the pair that was clicked in last.
-        answers: the newest last; that of the open pair still changes.
-        asked: the questions as they were ranked last.
-    """
-
-    looks: dict[Client, Look] = field(default_factory=dict)
-    in_vain: dict[ViewPair, int] = field(default_factory=dict)
-    open: Open | None = None
-    answers: tuple[Answer, ...] = ()
-    asked: Asked = Asked()
-
-    def times_in_vain(self, pairs: Sequence[ViewPair]) -> int:
-        """How often an operator looked at any of these keyframes in vain."""
-        return sum(self.in_vain.get(views, 0) for views in dict.fromkeys(pairs))
-
-    def fruitless(self, pair: RobotPair) -> int:
-        """Sets of three clicks in a pair of joined robots that did far less than was expected."""
-        return sum(
-            answer.clicks // CLICKS_TO_JOIN
-            for answer in self.answers
-            if (answer.i, answer.j) == pair
-            and not answer.joined
-            and answer.realised < _FRUITLESS * answer.predicted
-        )
-
-
-def note_selection(site: "Site", selection: Selection, now_s: float) -> None:
+def note_selection(site: Site, selection: Selection, now_s: float) -> None:
     """An operator turns to a pair, or away from one: without a click that was in vain."""
     client = (selection.operator, selection.session)
     before = site.asking.looks.get(client)
@@ -121,7 +41,7 @@ def note_selection(site: "Site", selection: Selection, now_s: float) -> None:
         vain[before.keyframes] = vain.get(before.keyframes, 0) + 1
 
 
-def note_clicks(site: "Site", outcomes: Sequence[Outcome]) -> None:
+def note_clicks(site: Site, outcomes: Sequence[Outcome]) -> None:
     """New correspondences of a pair open its answer; those of another pair close the one before."""
     for outcome in outcomes:
         if not outcome.accepted or outcome.action != "add":
@@ -138,7 +58,7 @@ def note_clicks(site: "Site", outcomes: Sequence[Outcome]) -> None:
         opened.clicks += 1
 
 
-def note_solved(site: "Site") -> None:
+def note_solved(site: Site) -> None:
     """What the clicks of the open pair did so far; an event when it shows."""
     opened, now = site.asking.open, _standing(site)
     if opened is None or now is None:
@@ -152,7 +72,7 @@ def note_solved(site: "Site") -> None:
         site.say(answer.text)
 
 
-def _standing(site: "Site") -> Standing | None:
+def _standing(site: Site) -> Standing | None:
     newest = site.newest_keyframes()
     if site.solution is None or not newest:
         return None
@@ -184,7 +104,7 @@ def _answer(opened: Open, now: Standing, told: str = "") -> Answer:
     )
 
 
-def _look(site: "Site", selection: Selection, now_s: float) -> Look | None:
+def _look(site: Site, selection: Selection, now_s: float) -> Look | None:
     views = [view for view in (selection.view_i, selection.view_j) if view is not None]
     here = [at for at in map(site.attached, views) if at is not None]
     if len(here) != 2 or here[0].keyframe.robot == here[1].keyframe.robot:

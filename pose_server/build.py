@@ -11,7 +11,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 from pose_server.correspondences.journal import Journal  # noqa: E402
 from pose_server.geometry.errors import MissingLibraryError  # noqa: E402
 from pose_server.geometry.icp import open3d  # noqa: E402
-from pose_server.pairs.weights import Weights  # noqa: E402
+from pose_server.scheduling.settings import Weights  # noqa: E402
 from pose_server.service import Service  # noqa: E402
 from pose_server.session.keeper import stored_graph  # noqa: E402
 from pose_server.session.restoring import folder_files, restored_site  # noqa: E402

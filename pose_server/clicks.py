@@ -19,7 +19,8 @@ from pose_server.geometry.se3 import transform
 from pose_server.pairs.hearing import Hearing
 from pose_server.pairs.starts import FULL_POSE, Clicks
 from pose_server.pairs.tracking import Attached
-from pose_server.site import RobotPair, Site
+from pose_server.site import Site
+from pose_server.state.pairs import RobotPair
 from protocol.messages import CorrespondenceStatus, ViewName
 
 Floats = npt.NDArray[np.floating]

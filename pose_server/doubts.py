@@ -7,8 +7,7 @@ lasts.
 
 import logging
 from collections.abc import Collection
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -23,16 +22,15 @@ from pose_server.geometry.se3 import (
 )
 from pose_server.odometry import Moment, camera_motion
 from pose_server.pairs.tracking import Attached, moved
+from pose_server.site import Site
+from pose_server.state.doubts import Doubt, Kind, Standstill
+from pose_server.state.robots import Robot
 from pose_server.views import KeptView
 from protocol.messages import Alarm, ViewName
-
-if TYPE_CHECKING:
-    from pose_server.site import Robot, Site
 
 log = logging.getLogger("pose_server")
 
 Floats = npt.NDArray[np.floating]
-Kind = Literal["frozen", "still", "lost", "carried"]
 
 DROVE = 0.15  # of `moved`: 1.8 % of the depth, or 1.7 deg; what odometry does at rest is less
 _STILL, _STILL_SHARE = 0.1, 0.2  # of `moved`, and of what odometry says: what images show at most
@@ -41,50 +39,7 @@ _CONFIRMED_S = 0.9  # a robot that sets off is seen to move later than its odome
 _CHANCE = 1e-3
 
 
-@dataclass(frozen=True)
-class Doubt:
-    """Why a robot's pose is not believed.
-
-    Attributes:
-        kind: of alarm.
-        text: the alarm's.
-        since: the view with which it began.
-    """
-
-    kind: Kind
-    text: str
-    since: ViewName
-
-
-@dataclass(frozen=True)
-class Standstill:
-    """Where a robot was believed to be last, before its odometry drove on without its pixels.
-
-    Attributes:
-        at: the last view that was believed.
-        moment: the odometry of that view.
-        since_s: when the first view came that contradicts, by the server's monotonic clock.
-    """
-
-    at: Attached
-    moment: Moment
-    since_s: float
-
-
-@dataclass
-class Doubts:
-    """What contradicts what, by robot.
-
-    Attributes:
-        standing: why robots are not believed now.
-        standstills: robots whose odometry drives on without their pixels.
-    """
-
-    standing: dict[str, Doubt] = field(default_factory=dict)
-    standstills: dict[str, Standstill] = field(default_factory=dict)
-
-
-def why_doubted(site: "Site", robot: "Robot") -> str:
+def why_doubted(site: Site, robot: Robot) -> str:
     """Why a robot's newest pose must not be believed; empty if nothing speaks against it."""
     doubt = site.doubts.standing.get(robot.name)
     if doubt is not None:
@@ -95,7 +50,7 @@ def why_doubted(site: "Site", robot: "Robot") -> str:
     return ""
 
 
-def doubt_alarms(site: "Site") -> tuple[Alarm, ...]:
+def doubt_alarms(site: Site) -> tuple[Alarm, ...]:
     """An alarm for every doubt about a robot that is there."""
     return tuple(
         Alarm(robot=name, kind=doubt.kind, text=doubt.text)
@@ -104,7 +59,7 @@ def doubt_alarms(site: "Site") -> tuple[Alarm, ...]:
     )
 
 
-def camera_frozen(site: "Site", robot: "Robot", view: KeptView) -> bool:
+def camera_frozen(site: Site, robot: Robot, view: KeptView) -> bool:
     """Whether a robot says of a view that its camera gives the same image again and again: what it
     shows is of the past.
     """
@@ -119,7 +74,7 @@ def camera_frozen(site: "Site", robot: "Robot", view: KeptView) -> bool:
     return True
 
 
-def wheels_disagree(site: "Site", robot: "Robot", here: Attached) -> bool:
+def wheels_disagree(site: Site, robot: Robot, here: Attached) -> bool:
     """Whether a view hangs where pixels stood still while the robot's odometry drove on: then one
     of both is wrong. Said when a second view shows it as well.
 
@@ -146,7 +101,7 @@ def wheels_disagree(site: "Site", robot: "Robot", here: Attached) -> bool:
     return True
 
 
-def note_lost(site: "Site", robot: "Robot", view: ViewName) -> None:
+def note_lost(site: Site, robot: Robot, view: ViewName) -> None:
     """A robot's view aligns with none of its keyframes, and no odometry leads there."""
     known = site.doubts.standing.get(robot.name)
     if known is not None and known.kind in ("lost", "carried"):
@@ -164,7 +119,7 @@ def note_lost(site: "Site", robot: "Robot", view: ViewName) -> None:
     _doubt(site, robot, Doubt("lost" if lived else "carried", text, view))
 
 
-def reconsider(site: "Site") -> None:
+def reconsider(site: Site) -> None:
     """Robots that were lost are found again where they are joined to more than what they saw since
     then.
     """
@@ -182,7 +137,7 @@ def reconsider(site: "Site") -> None:
             _believe(site, name, ("lost", "carried"), "sees something known again")
 
 
-def _doubt(site: "Site", robot: "Robot", doubt: Doubt) -> None:
+def _doubt(site: Site, robot: Robot, doubt: Doubt) -> None:
     known = site.doubts.standing.get(robot.name)
     if known is not None and known.kind == doubt.kind:
         site.doubts.standing[robot.name] = replace(known, text=doubt.text)
@@ -193,7 +148,7 @@ def _doubt(site: "Site", robot: "Robot", doubt: Doubt) -> None:
     log.warning("alarm robot=%s kind=%s text=%s", robot.name, doubt.kind, doubt.text)
 
 
-def _believe(site: "Site", name: str, kinds: Collection[Kind], why: str) -> None:
+def _believe(site: Site, name: str, kinds: Collection[Kind], why: str) -> None:
     """Ends a doubt of one of these kinds, if there is one."""
     known = site.doubts.standing.get(name)
     if known is not None and known.kind in kinds:
@@ -202,7 +157,7 @@ def _believe(site: "Site", name: str, kinds: Collection[Kind], why: str) -> None
         site.say(f"{name} {why}")
 
 
-def _is_over(site: "Site", stood: Standstill, here: Attached, moment: Moment | None) -> bool:
+def _is_over(site: Site, stood: Standstill, here: Attached, moment: Moment | None) -> bool:
     """Whether pixels and odometry agree again, or too little was heard to say that they do not."""
     kept = site.views[here.view]
     if _shown(stood.at, here, kept.median_depth_m) > _STILL:
@@ -212,7 +167,7 @@ def _is_over(site: "Site", stood: Standstill, here: Attached, moment: Moment | N
     return not _contradict(kept, (stood.at, stood.moment), here, moment)
 
 
-def _a_while_before(site: "Site", robot: "Robot", here: Attached) -> tuple[Attached, Moment] | None:
+def _a_while_before(site: Site, robot: Robot, here: Attached) -> tuple[Attached, Moment] | None:
     """The oldest of the robot's views of the last seconds that hangs on the same keyframe."""
     now_s = site.views[here.view].received_s
     found: list[tuple[float, Attached, Moment]] = []

@@ -13,13 +13,15 @@ from pose_server.fleet.types import Edge
 from pose_server.odometry import camera_motion
 from pose_server.pairs.agenda import note_keyframe, try_again
 from pose_server.pairs.candidates import candidate_views
-from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.refining import Start
 from pose_server.pairs.retries import note_stand
 from pose_server.pairs.tracking import Attached, accepted, moved, standing
-from pose_server.site import Robot, Site, ViewPair
+from pose_server.site import Site
+from pose_server.state.pairs import ViewPair
+from pose_server.state.robots import Robot
 from pose_server.views import STILL_PX, KeptView, something_moved, stands_still
+from pose_server.workers.jobs import Done, Job
 from protocol.messages import ViewName
 
 MOST_KEYFRAMES, LEAST_KEYFRAMES = 40, 6  # of a robot, in a small and in a large fleet

@@ -5,7 +5,8 @@ where the robots are, not how well they are seen to fit now.
 """
 
 from pose_server.pairs.judging import PairResult
-from pose_server.site import RobotPair, Site
+from pose_server.site import Site
+from pose_server.state.pairs import RobotPair
 from protocol.messages import PairCell, ViewName
 
 _OLD_S = 60.0  # from then on an alignment's age is told to ten seconds

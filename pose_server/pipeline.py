@@ -22,14 +22,15 @@ from pose_server.fleet.types import GRAVE_BY_VERDICT, Edge, SolveSettings
 from pose_server.following import back_job, followed, look_back, newest_arrived, track_job
 from pose_server.frames import on_keyframes
 from pose_server.pairs import agenda
-from pose_server.pairs.engine import Done, Job
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.refining import Start
 from pose_server.pairs.tracking import Attached, accepted
 from pose_server.repeats import believed, note_refuted, note_repetition
-from pose_server.site import RobotPair, Site
+from pose_server.site import Site
+from pose_server.state.pairs import RobotPair
 from pose_server.views import KeptView
 from pose_server.widening import note_open, wide_job
+from pose_server.workers.jobs import Done, Job
 from protocol.errors import CodecError
 from protocol.keys import ordered_pair
 from protocol.messages import OperatorUpdate, Selection, ViewName

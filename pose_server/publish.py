@@ -15,7 +15,8 @@ from pose_server.matrix import error_of, pair_cells
 from pose_server.pairs.judging import PairResult
 from pose_server.questions import questions
 from pose_server.settings import ServerSettings
-from pose_server.site import Robot, Site
+from pose_server.site import Site
+from pose_server.state.robots import Robot
 from protocol.messages import (
     Alignment,
     FleetState,

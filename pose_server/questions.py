@@ -7,14 +7,15 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from pose_server.asking import Asked
 from pose_server.fleet import chances
 from pose_server.fleet.chances import Look, Try
 from pose_server.fleet.questions import PairFacts, rank_questions
 from pose_server.frames import sigma_by_grave
 from pose_server.geometry.se3 import inverse, rotation_angle
 from pose_server.pairs.candidates import similarity
-from pose_server.site import PairRecord, RobotPair, Site, ViewPair
+from pose_server.site import Site
+from pose_server.state.pairs import PairRecord, RobotPair, ViewPair
+from pose_server.state.question_feedback import Asked
 from pose_server.suggestions import with_suggestions
 from protocol.keys import ordered_pair
 from protocol.messages import Question, ViewName

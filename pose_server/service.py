@@ -22,7 +22,6 @@ from pose_server.inbox import Asked, Inbox, Moved, Noticed, Selected, TokenSeen,
 from pose_server.metrics import Metrics
 from pose_server.pairs.agenda import compare_some
 from pose_server.pairs.cluster import ClusterPool
-from pose_server.pairs.engine import Done
 from pose_server.pairs.workers import Engine, LocalPool
 from pose_server.publishers import Publishers
 from pose_server.session.keeper import Keeper, graph_of
@@ -33,6 +32,7 @@ from pose_server.stages import Stages
 from pose_server.status import Load, server_status
 from pose_server.telling import Teller
 from pose_server.views import open_view
+from pose_server.workers.jobs import Done
 from protocol.codec import pack
 from protocol.drops import Drops
 from protocol.errors import CodecError, FleetPoseError

@@ -7,8 +7,8 @@ from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from pose_server.geometry.icp import Method
-from pose_server.pairs.recipes import RecipeName
-from pose_server.pairs.weights import Weights
+from pose_server.scheduling.settings import Weights
+from pose_server.workers.jobs import RecipeName
 
 
 class ServerSettings(BaseSettings):

@@ -8,30 +8,30 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from pose_server.anchoring import Anchoring
-from pose_server.asking import Asking
 from pose_server.calibration.clocks import LEAST_AHEAD_S
 from pose_server.calibration.memory import Memory
 from pose_server.correspondences.book import Book
-from pose_server.doubts import Doubts
-from pose_server.fleet.types import ClickFactor, Edge, EdgeKey, FleetSolution, NodePose
+from pose_server.fleet.types import ClickFactor, Edge, EdgeKey, FleetSolution
 from pose_server.frames import upright
 from pose_server.geometry.icp import Method
 from pose_server.geometry.se3 import compose_covariance, inverse
 from pose_server.lifting import Lifter
 from pose_server.odometry import Odometers
-from pose_server.pairs.agenda import Agenda
-from pose_server.pairs.engine import EncodedView
-from pose_server.pairs.judging import PairResult
-from pose_server.pairs.recipes import RecipeName
 from pose_server.pairs.schedule import Turns
-from pose_server.pairs.tracking import Attached, Track
-from pose_server.pairs.weights import Weights
+from pose_server.pairs.tracking import Attached
+from pose_server.scheduling.settings import Weights
+from pose_server.state.affine_retries import Widening
+from pose_server.state.doubts import Doubts
+from pose_server.state.origins import Anchoring
+from pose_server.state.pair_queue import Agenda
+from pose_server.state.pairs import PairRecord, RobotPair, ViewPair
+from pose_server.state.question_feedback import Asking
+from pose_server.state.robots import Robot
 from pose_server.views import KeptView, ViewStore, same_camera
-from pose_server.widening import Widening
+from pose_server.workers.jobs import EncodedView, RecipeName
 from protocol.errors import FleetPoseError
 from protocol.keys import ordered_pair
-from protocol.messages import Alarm, Camera, PairCell, PairError, RobotPose, ViewName
+from protocol.messages import Alarm, PairCell, ViewName
 
 Floats = npt.NDArray[np.floating]
 PINNED_S = 60.0  # a client repeats what it holds every few seconds
@@ -41,107 +41,10 @@ MAX_HELD_BACK = 100
 MAX_HELD_BACK_BYTES = 64 * 1024 * 1024
 MAX_ROBOTS = 1000
 MAX_EPOCHS = 8  # tokens under one name at a time
-RobotPair = tuple[str, str]
 
 
 class SiteFullError(FleetPoseError):
     """More robots, or more lives of one, than a site can have."""
-
-
-ViewPair = tuple[ViewName, ViewName]
-
-
-@dataclass
-class Robot:
-    """One robot: its life signs and its track.
-
-    Attributes:
-        epochs: of the tokens that are there now, the last one is the one that counts.
-        newest: the newest view received.
-        waiting: the newest view that is not tracked yet.
-        tracking: the view that a worker follows at present.
-        behind: older views that somebody looks at and that hang nowhere yet.
-        placing: the one of these that a worker is at.
-        camera: of the newest view.
-        stamp_ns: of the newest view, by the robot's clock.
-        changes: of calibration, and times that the clock went back.
-        errors: of its pairs as they are told; None when one of them changed.
-        stood: the first view since which it has stood still and seen the same.
-    """
-
-    name: str
-    epochs: list[str] = field(default_factory=list)
-    newest: ViewName | None = None
-    waiting: ViewName | None = None
-    tracking: ViewName | None = None
-    behind: list[ViewName] = field(default_factory=list)
-    placing: ViewName | None = None
-    camera: Camera | None = None
-    stamp_ns: int = 0
-    changes: int = 0
-    track: Track = field(default_factory=Track)
-    published: RobotPose | None = None
-    published_keyframe: tuple[ViewName, Floats] | None = None
-    published_node: NodePose | None = None
-    errors: tuple[PairError, ...] | None = None
-    poses_sent: int = 0
-    untracked: int = 0
-    stood: KeptView | None = None
-
-    @property
-    def alive(self) -> bool:
-        """Whether its token is there."""
-        return bool(self.epochs)
-
-    @property
-    def epoch(self) -> str | None:
-        """Of its present life, None while its token is not there."""
-        return self.epochs[-1] if self.epochs else None
-
-
-@dataclass
-class PairRecord:
-    """What was done between two robots (or between segments of one).
-
-    Attributes:
-        untried: what the most promising keyframe pairs promise that were not aligned yet, 0 to 1.
-        tried: keyframe pairs aligned, and by which kinds of starts.
-        searched: what features gave for keyframe pairs.
-        retry: views that are tried again, since the last alignment failed and one of both robots
-            sees something else now; retry_promise: as in untried.
-        failures: alignments in a row that were rejected, or ended without a result.
-        clicks_due: the operator's set changed and was not aligned since.
-        search_due: it was, but without asking features again, and nothing sure was found.
-        heard: which correspondences, by id and revision, the images were asked about last, and
-            whether they are believed.
-        clicks_grave: probability that the pose of those is gravely off.
-        told: what operators were told about them.
-        contradicted: what they are told where the solution contradicts those that are believed.
-        last: the newest alignment, its views and when it ended: this is what is told of the pair.
-        refuted: a solution set a verified edge of the pair aside since then.
-        best: by verdict, then inliers: what the agenda and the questions go by.
-    """
-
-    untried: dict[ViewPair, float] = field(default_factory=dict)
-    tried: dict[ViewPair, set[str]] = field(default_factory=dict)
-    searched: dict[ViewPair, PairResult] = field(default_factory=dict)
-    retry: ViewPair | None = None
-    retry_promise: float = 0.0
-    failures: int = 0
-    running: bool = False
-    clicks_due: bool = False
-    search_due: bool = False
-    heard: dict[tuple[int, int], bool] = field(default_factory=dict)
-    clicks_grave: float = 1.0
-    told: str = ""
-    contradicted: str = ""
-    last: PairResult | None = None
-    refuted: bool = False
-    last_views: ViewPair | None = None
-    last_s: float = -np.inf
-    best: PairResult | None = None
-    best_views: ViewPair | None = None
-    alignments: int = 0
 
 
 @dataclass(frozen=True)

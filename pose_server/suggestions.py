@@ -4,7 +4,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pose_server.pairs.suggesting import apart_in_both
-from pose_server.site import Site, ViewPair
+from pose_server.site import Site
+from pose_server.state.pairs import ViewPair
 from pose_server.views import likely_matches, stands_still
 from protocol.messages import Question, Suggestion, ViewName
 

@@ -10,7 +10,8 @@ from pose_server import publish
 from pose_server.pairs.judging import PairResult
 from pose_server.publish import Stamp
 from pose_server.settings import ServerSettings
-from pose_server.site import RobotPair, Site
+from pose_server.site import Site
+from pose_server.state.pairs import RobotPair
 from protocol.base import Message
 from protocol.keys import Keys
 from protocol.messages import FleetState, OperatorUpdate, ViewName

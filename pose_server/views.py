@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pose_server.geometry.matching import ratio_matches
 from pose_server.geometry.motion import some_together
-from pose_server.pairs.engine import EncodedView
+from pose_server.workers.jobs import EncodedView
 from protocol.clouds import decode_salient, points_of, some_points_of
 from protocol.codec import unpack
 from protocol.errors import CodecError

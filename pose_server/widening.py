@@ -6,17 +6,13 @@ to a second or two of its time, and most pairs of a large fleet have nothing in 
 pairs of robots that no verified alignment links are tried, the most alike first, a few at a time.
 """
 
-from collections import OrderedDict
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 from pose_server.pairs.align import is_settled
 from pose_server.pairs.candidates import similarity
-from pose_server.pairs.engine import Done, Job
+from pose_server.site import Site
+from pose_server.workers.jobs import Done, Job
 from protocol.messages import ViewName
-
-if TYPE_CHECKING:
-    from pose_server.site import Site
 
 MOST_SETS = 64  # about 250 kB each
 _MOST_WAITING = 200
@@ -24,35 +20,7 @@ _MOST_ASKED = 4
 _TRIES, _ONE_IN = 2, 8  # views of two robots tried again: a few, then one in so many alignments
 
 
-@dataclass
-class Widening:
-    """What waits for wide sets.
-
-    Attributes:
-        sets: encoded views with wide sets, the latest used last.
-        waiting: results that are not settled, by their views.
-        asked: views that robots were asked for.
-        refused: views whose robots have none.
-    """
-
-    sets: OrderedDict[ViewName, bytes] = field(default_factory=OrderedDict)
-    waiting: dict[tuple[ViewName, ViewName], Done] = field(default_factory=dict)
-    asked: set[ViewName] = field(default_factory=set)
-    refused: dict[ViewName, None] = field(default_factory=dict)
-    tries: dict[tuple[str, str], int] = field(default_factory=dict)
-
-    def of(self, view: ViewName) -> bytes | None:
-        """The wide set of a view, if there is one."""
-        if view in self.sets:
-            self.sets.move_to_end(view)
-        return self.sets.get(view)
-
-    def close(self, view: ViewName) -> None:
-        """Nothing waits for a view any more."""
-        self.waiting = {views: done for views, done in self.waiting.items() if view not in views}
-
-
-def note_open(site: "Site", done: Done) -> None:
+def note_open(site: Site, done: Done) -> None:
     """Files a result that wide sets may settle."""
     i, j = done.job.i.name, done.job.j.name
     if _is_open(done) and (i, j) not in site.widening.waiting and _may_try(site, i, j):
@@ -70,7 +38,7 @@ def _is_open(done: Done) -> bool:
     return done.result is not None and not is_settled(done.result)
 
 
-def _may_try(site: "Site", i: ViewName, j: ViewName) -> bool:
+def _may_try(site: Site, i: ViewName, j: ViewName) -> bool:
     """Whether two views are worth their robots' time."""
     wide = site.widening
     if len(wide.waiting) >= _MOST_WAITING or _is_answered(site, i, j):
@@ -81,7 +49,7 @@ def _may_try(site: "Site", i: ViewName, j: ViewName) -> bool:
     return all(view not in wide.refused and _lives(site, view) for view in (i, j))
 
 
-def wanted(site: "Site") -> list[ViewName]:
+def wanted(site: Site) -> list[ViewName]:
     """Views whose wide sets are to be asked for now."""
     wide = site.widening
     if not wide.waiting or len(wide.asked) >= _MOST_ASKED:
@@ -93,7 +61,7 @@ def wanted(site: "Site") -> list[ViewName]:
     return ask
 
 
-def receive(site: "Site", view: ViewName, payload: bytes | None) -> None:
+def receive(site: Site, view: ViewName, payload: bytes | None) -> None:
     """A robot has answered: with the view's wide set, or without."""
     wide = site.widening
     wide.asked.discard(view)
@@ -107,7 +75,7 @@ def receive(site: "Site", view: ViewName, payload: bytes | None) -> None:
         wide.sets.popitem(last=False)
 
 
-def wide_job(site: "Site") -> Job | None:
+def wide_job(site: Site) -> Job | None:
     """A pair that has both its sets. Of one with clicks the clicks are aligned once more."""
     wide = site.widening
     for (i, j), done in list(wide.waiting.items()):
@@ -129,7 +97,7 @@ def wide_job(site: "Site") -> Job | None:
     return None
 
 
-def _is_answered(site: "Site", i: ViewName, j: ViewName) -> bool:
+def _is_answered(site: Site, i: ViewName, j: ViewName) -> bool:
     """Whether a verified alignment links the two robots already, or others join them; what an
     operator clicked is worth more than that.
     """
@@ -139,10 +107,10 @@ def _is_answered(site: "Site", i: ViewName, j: ViewName) -> bool:
     return not site.book.has(i.robot, j.robot) and site.joined(i, j)
 
 
-def _likeness(site: "Site", i: ViewName, j: ViewName) -> float:
+def _likeness(site: Site, i: ViewName, j: ViewName) -> float:
     return similarity(site, i, j) if i in site.views and j in site.views else 0.0
 
 
-def _lives(site: "Site", view: ViewName) -> bool:
+def _lives(site: Site, view: ViewName) -> bool:
     robot = site.robots.get(view.robot)
     return robot is not None and robot.epoch == view.epoch

@@ -11,8 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from deploy.local_fleet import LocalFleet, wait_running
-from evaluation import load
-from evaluation.fleet import FleetPlan, open_link, plan_world, start, wait_started
+from evaluation.fleet import FleetPlan, open_link, plan_world, replay_arguments, start, wait_started
 from evaluation.observer import Observer, SeenView
 from hmi_client.client import Client
 from hmi_client.session import OperatorSession
@@ -36,7 +35,7 @@ def replayed_fleet(
     plan = plan_world([f"r{k + 1}" for k in range(robots)], scratch, moving=False, seed=0)
     with LocalFleet(logs) as fleet:
         start(fleet, FleetPlan((), plan.truth, plan.world), 2, scratch / "state")
-        options = ("load", *fleet.connection, *load.arguments(plan, RATE_HZ, frames=4))
+        options = ("load", *fleet.connection, *replay_arguments(plan, RATE_HZ, frames=4))
         fleet.start("load", "evaluation", *options)
         link = open_link(fleet)
         observer = Observer(link, Keys(fleet.site))

@@ -8,19 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.datasets import (
-    CloudKind,
-    Recording,
-    TrueView,
-    median_depth_m,
-    open_recording,
-    shared_tracks,
-)
-from evaluation.interaction import deceived
+from evaluation.datasets import CloudKind, Recording, TrueView, shared_tracks
 from evaluation.interaction.fleet import solve_ring
 from evaluation.interaction.rows import ClickRow, click_row, named, write_rows
 from evaluation.interaction.truth import true_pixels
 from evaluation.interaction.worker import ClickedAnswer, Plan, Task, run_task
+from evaluation.opening import median_depth_m, open_recording
 from evaluation.pairs import limited, pairs_of
 from evaluation.report import output_folder, print_table, progress_bar, write_summary
 from evaluation.scoring import Limits, optical_angle_deg, share
@@ -71,8 +64,6 @@ def run(options: ClicksOptions, out: Path) -> dict[str, Any]:
     if options.wrong > options.clicks:
         raise FleetPoseError(f"--wrong {options.wrong}: of {options.clicks} clicks at most all are")
     recording = open_recording(options.data, options.clouds)
-    if options.consistent_wrong_m or options.permuted:
-        return deceived.run(options, pairs_in_range(recording, options), out)
     pairs = {(i.index, j.index): (i, j) for i, j in pairs_in_range(recording, options)}
     output_folder(out)
     depth_m = median_depth_m(recording)

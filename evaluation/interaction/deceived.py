@@ -6,16 +6,18 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from evaluation.datasets import Recording, TrueView, median_depth_m, open_recording
+from evaluation.datasets import Recording, TrueView
 from evaluation.geometry import Floats, inverse
+from evaluation.interaction.clicks import ClicksOptions, pairs_in_range
 from evaluation.interaction.deceptive import corners_in_order, in_other_orders, one_step_along
 from evaluation.interaction.hand import Clicked, right_clicks
 from evaluation.interaction.truth import true_pixels
 from evaluation.interaction.worker import kept, takes
+from evaluation.opening import median_depth_m, open_recording
 from evaluation.questions.play import aligned
 from evaluation.questions.server import FleetServer
 from evaluation.report import output_folder, print_table, progress_bar, write_csv, write_summary
@@ -27,9 +29,6 @@ from evaluation.scoring import (
     share,
 )
 from evaluation.working import as_done, on_the_wire, worker_pool
-
-if TYPE_CHECKING:
-    from evaluation.interaction.clicks import ClicksOptions
 
 RIGHT_CLICKS = 3
 """That the operator adds when it is told."""
@@ -91,15 +90,14 @@ class Deceived:
     position_error_after_m: float | None
 
 
-def run(
-    options: "ClicksOptions", pairs: Sequence[tuple[TrueView, TrueView]], out: Path
-) -> dict[str, Any]:
+def run(options: ClicksOptions, out: Path) -> dict[str, Any]:
     """Deceives the server in all pairs; writes deceived.csv and summary.json; returns the summary.
 
     Raises:
-        FleetPoseError: the data cannot be used.
+        FleetPoseError: the data cannot be used, or no pair is in the range.
     """
     recording = open_recording(options.data, options.clouds)
+    pairs = pairs_in_range(recording, options)
     output_folder(out)
     limits = Limits.of(median_depth_m(recording), recording.is_rgbd)
     rows: list[Deceived] = []

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.datasets import Recording, TrueView, points_of
+from evaluation.datasets import Recording, TrueView
 from evaluation.geometry import Floats, inverse, transform
 from evaluation.interaction.hand import Clicked, Lift
+from evaluation.opening import points_of
 from evaluation.operator import CLICK_SIGMA_PX, far_apart
 
 _TRIED_PER_CLICK = 6

@@ -133,7 +133,8 @@ def _by_clicks(run: Run) -> Floats | None:
 
 def _motions(walk: Walk) -> list[Floats | None]:
     """T_before_now of each view, by aligning it with the one before; none where that fails."""
-    from pose_server.pairs.engine import Job, run_job
+    from pose_server.pairs.engine import run_job
+    from pose_server.workers.jobs import Job
 
     motions: list[Floats | None] = [None]
     for before, now in zip(walk.wires, walk.wires[1:], strict=False):
@@ -155,7 +156,8 @@ def _starts(carried: Floats | None) -> tuple["Start", ...]:
 
 
 def _aligned(run: Run, k: int, starts: Sequence["Start"]) -> tuple["PairResult", float]:
-    from pose_server.pairs.engine import Job, run_job
+    from pose_server.pairs.engine import run_job
+    from pose_server.workers.jobs import Job
 
     job = Job("pair", encoded(run.a.wires[k]), encoded(run.b.wires[k]), tuple(starts))
     began = time.perf_counter()

@@ -14,9 +14,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from evaluation.datasets import Recording, median_depth_m, open_recording
+from evaluation.datasets import Recording
 from evaluation.interaction.following import POLICIES, Policy, Run, Step, follow
 from evaluation.interaction.walks import Walk, recorded_walk, world_walk
+from evaluation.opening import median_depth_m, open_recording
 from evaluation.report import (
     new_figure,
     output_folder,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from evaluation.datasets import CloudKind, TrueView, median_depth_m, open_recording, shared_tracks
+from evaluation.datasets import CloudKind, TrueView, shared_tracks
 from evaluation.interaction.fleet import Pair, Solved, solve_ring
 from evaluation.interaction.hand import wrong_of
 from evaluation.interaction.ring_layout import Ring, rings_of
@@ -16,6 +16,7 @@ from evaluation.interaction.ring_scene import ring_scene
 from evaluation.interaction.rows import ClickRow, click_row, named
 from evaluation.interaction.truth import true_pixels
 from evaluation.interaction.worker import ClickedAnswer, Plan, Recipe, Task, run_task
+from evaluation.opening import median_depth_m, open_recording
 from evaluation.report import output_folder, progress_bar
 from evaluation.scoring import Limits
 from evaluation.working import as_done, on_the_wire, worker_pool

@@ -6,9 +6,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from evaluation.datasets import Recording, TrueView, read_depth
+from evaluation.datasets import Recording, TrueView
 from evaluation.geometry import Floats, inverse
 from evaluation.operator import by_depth_images, by_tracks
+from evaluation.rgbd import read_depth
 
 DEPTH_FOLDER = "depth"
 """Of a posed-views folder whose depths are known at every pixel: 16-bit PNG, millimetres."""

@@ -20,8 +20,8 @@ from evaluation.pair_worker import Answer, answer_of, of_wide, prepared, widen
 
 if TYPE_CHECKING:
     from pose_server.geometry.lift import LiftedPoint
-    from pose_server.pairs.engine import EncodedView, Job
     from pose_server.views import KeptView
+    from pose_server.workers.jobs import EncodedView, Job
 
 Recipe = Literal["paper", "full"]
 
@@ -199,8 +199,8 @@ def with_wide(view: "EncodedView", wire: Path) -> "EncodedView":
 
 def as_job(wire_i: Path, wire_j: Path, at_i: Lifted, at_j: Lifted) -> "Job":
     """The job that the server makes of a pair of views and the clicks in them."""
-    from pose_server.pairs.engine import Job
     from pose_server.pairs.starts import Clicks
+    from pose_server.workers.jobs import Job
 
     i, j = encoded(wire_i), encoded(wire_j)
     if len(at_i.p) == 0:
@@ -225,7 +225,8 @@ def _pixels(wire: Path, points: Floats) -> Floats:
 @lru_cache(maxsize=8)
 def _prepare(wire_i: Path, wire_j: Path) -> None:
     """Has two views prepared in this worker: the time of an alignment is then that of the pair."""
-    from pose_server.pairs.engine import Job, run_job
+    from pose_server.pairs.engine import run_job
+    from pose_server.workers.jobs import Job
 
     run_job(Job("pair", encoded(wire_i), encoded(wire_j)))
 

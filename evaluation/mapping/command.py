@@ -20,12 +20,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from evaluation.datasets import CloudKind, Recording, TrueView, median_depth_m, open_recording
+from evaluation.datasets import CloudKind, Recording, TrueView
 from evaluation.mapping.compare import Distances, Shift, compared, moved_by_poses
 from evaluation.mapping.memory import Peak, peak_memory
 from evaluation.mapping.truth import at_true_poses, true_cloud, world_from_fleet
 from evaluation.offline.fleet import MOST_JOBS_PER_PAIR, remembering
 from evaluation.offline.server import OfflineServer
+from evaluation.opening import median_depth_m, open_recording
 from evaluation.parts import parts_of
 from evaluation.report import output_folder, print_table, progress_bar, write_summary
 from evaluation.working import on_the_wire, worker_pool

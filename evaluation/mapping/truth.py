@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.datasets import Recording, TrueView, open_recording, points_of
+from evaluation.datasets import Recording, TrueView
+from evaluation.opening import open_recording, points_of
 from pose_server.geometry.se3 import inverse, transform
 from pose_server.mapping.located import PlacedView, cloud_of
 

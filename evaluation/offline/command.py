@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evaluation.datasets import CloudKind, Recording, median_depth_m, open_recordings
+from evaluation.datasets import CloudKind, Recording
 from evaluation.offline.fleet import Fleet, Task, draw_views, play
 from evaluation.offline.report import write_results
+from evaluation.opening import median_depth_m, open_recordings
 from evaluation.parts import checked_views
 from evaluation.report import output_folder, progress_bar
 from evaluation.scoring import Limits

@@ -10,17 +10,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evaluation.datasets import CloudKind, Recording, TrueView, are_partners, open_recording
+from evaluation.datasets import CloudKind, Recording, TrueView, are_partners
 from evaluation.fleet_scoring import PoseNow, SampleRow, is_grave, score_sample
 from evaluation.geometry import inverse
 from evaluation.offline.server import OfflineServer
+from evaluation.opening import open_recording
 from evaluation.scoring import Limits
 from evaluation.together import Sights
 from protocol.errors import DataFolderError
 
 if TYPE_CHECKING:
-    from pose_server.pairs.engine import Job
     from pose_server.pairs.judging import PairResult
+    from pose_server.workers.jobs import Job
 
 ROBOTS = (4, 12)
 MOST_JOBS_PER_PAIR = 6

@@ -11,10 +11,11 @@ from pose_server import alarms, pipeline, widening
 from pose_server.correspondences.book import Book
 from pose_server.correspondences.records import BookState, Change
 from pose_server.pairs.agenda import compare_some
-from pose_server.pairs.engine import Done, Job, run_job
+from pose_server.pairs.engine import run_job
 from pose_server.publish import Stamp, robot_pose, why_not_located
 from pose_server.settings import ServerSettings
 from pose_server.site import Site
+from pose_server.workers.jobs import Done, Job
 from protocol.errors import FleetPoseError
 from protocol.messages import RobotPose, ViewName
 

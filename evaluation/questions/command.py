@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evaluation.datasets import CloudKind, median_depth_m, open_recording
+from evaluation.datasets import CloudKind
+from evaluation.opening import median_depth_m, open_recording
 from evaluation.questions.play import Played, Task, play
 from evaluation.questions.policies import POLICIES
 from evaluation.questions.report import write_results

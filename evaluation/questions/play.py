@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evaluation.datasets import Recording, TrueView, are_partners, points_of
+from evaluation.datasets import Recording, TrueView, are_partners
 from evaluation.geometry import Floats, inverse, transform
 from evaluation.interaction.fleet import connected
 from evaluation.interaction.truth import true_pixels
 from evaluation.interaction.worker import kept, with_wide
 from evaluation.mistakes import Sight, mistaken, sight_of
+from evaluation.opening import points_of
 from evaluation.operator import PICKS_LOOKED_AT, by_hand, far_apart
 from evaluation.questions.policies import POLICIES
 from evaluation.questions.server import FleetServer, RobotPair, named_pairs
@@ -152,7 +153,8 @@ def aligned(wire_i: Path, wire_j: Path) -> "PairResult":
     if file.exists():
         return pickle.loads(file.read_bytes())
     from pose_server.pairs.align import is_settled
-    from pose_server.pairs.engine import Job, run_job
+    from pose_server.pairs.engine import run_job
+    from pose_server.workers.jobs import Job
 
     i, j = kept(wire_i).encoded, kept(wire_j).encoded
     result = run_job(Job("pair", i, j))

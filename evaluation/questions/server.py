@@ -10,7 +10,7 @@ from evaluation.geometry import Floats
 from evaluation.offline.server import SESSION, OfflineServer
 from evaluation.pair_worker import of_wide
 from pose_server import pipeline
-from pose_server.pairs.engine import Done, Job
+from pose_server.workers.jobs import Done, Job
 from protocol.keys import ordered_pair
 from protocol.messages import OperatorUpdate, Selection
 

@@ -6,10 +6,6 @@ unlikely, and pairs within one component that make it firmer. In each it is the 
 in proportion to its weight.
 """
 
-from collections import deque
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
-
 from pose_server.pairs.candidates import (
     BEST_OF_ROBOT,
     LEAST_OVERLAP,
@@ -19,58 +15,28 @@ from pose_server.pairs.candidates import (
     to_compare,
 )
 from pose_server.pairs.retries import retries_due
-from pose_server.pairs.schedule import Pick, Turns
-from pose_server.pairs.weights import Line, pair_weight
+from pose_server.pairs.schedule import Pick
+from pose_server.pairs.weights import pair_weight
+from pose_server.scheduling.settings import Line
+from pose_server.site import Site
+from pose_server.state.pair_queue import SHARES, Agenda
+from pose_server.state.pairs import PairRecord
+from pose_server.state.robots import Robot
 from protocol.keys import ordered_pair
 from protocol.messages import ViewName
-
-if TYPE_CHECKING:
-    from pose_server.site import PairRecord, Robot, Site
 
 RobotPair = tuple[str, str]
 ViewPair = tuple[ViewName, ViewName]
 
-_SHARES: dict[Line, float] = {"joining": 8.0, "unlikely": 1.0, "sharpening": 2.0}
 _MOST_UNTRIED = 8  # keyframe pairs of two robots that wait at a time
-_MOST_TO_COMPARE = 20_000
 
 
-@dataclass
-class Agenda:
-    """What waits to be aligned between robots.
-
-    Attributes:
-        fresh: keyframes that were laid beside no others yet.
-        to_compare: pairs of views whose looks are still to be compared, the newest last.
-        lines: pairs of robots that wait, by kind.
-        picked: why the last pair was picked, in words.
-        max_wait_s: the longest that any pair has waited for its turn.
-        max_wait_share: the same in picks, as a share of what the weights allow at most.
-    """
-
-    fresh: dict[ViewName, None] = field(default_factory=dict)
-    to_compare: deque[ViewPair] = field(default_factory=lambda: deque(maxlen=_MOST_TO_COMPARE))
-    lines: dict[Line, Turns[RobotPair]] = field(
-        default_factory=lambda: {line: Turns() for line in _SHARES}
-    )
-    picked: str = ""
-    max_wait_s: float = 0.0
-    max_wait_share: float = 0.0
-    kinds: Turns[Line] = field(default_factory=Turns)
-    roots: frozenset[ViewName] = frozenset()
-
-    @property
-    def waiting(self) -> int:
-        """Pairs of robots in all lines."""
-        return sum(map(len, self.lines.values()))
-
-
-def note_keyframe(site: "Site", view: ViewName) -> None:
+def note_keyframe(site: Site, view: ViewName) -> None:
     """A new keyframe will be laid beside the others when the fleet is solved."""
     site.agenda.fresh[view] = None
 
 
-def appraise(site: "Site", now_s: float) -> None:
+def appraise(site: Site, now_s: float) -> None:
     """After a solve: lays new keyframes beside the others, and thinks again about those whose
     components were joined or fell apart.
     """
@@ -92,7 +58,7 @@ def appraise(site: "Site", now_s: float) -> None:
         _lay_beside(site, view, now_s)
 
 
-def compare_some(site: "Site", now_s: float, most: int = 10) -> bool:
+def compare_some(site: Site, now_s: float, most: int = 10) -> bool:
     """Compares the looks of so many pairs of views; whether any were left to compare."""
     agenda, compared = site.agenda, 0
     while agenda.to_compare and compared < most:
@@ -103,7 +69,7 @@ def compare_some(site: "Site", now_s: float, most: int = 10) -> bool:
     return compared > 0
 
 
-def note_promise(site: "Site", a: ViewName, b: ViewName, promise: float, now_s: float) -> None:
+def note_promise(site: Site, a: ViewName, b: ViewName, promise: float, now_s: float) -> None:
     """Two keyframes of different robots, or of parts of one, may be worth aligning."""
     pair = ordered_pair(a.robot, b.robot)
     record = site.pair(*pair)
@@ -118,7 +84,7 @@ def note_promise(site: "Site", a: ViewName, b: ViewName, promise: float, now_s: 
     file(site, pair, now_s)
 
 
-def file(site: "Site", pair: RobotPair, now_s: float) -> None:
+def file(site: Site, pair: RobotPair, now_s: float) -> None:
     """Puts a pair into the line it belongs to, with its weight, or takes it out."""
     record, agenda = site.pairs[pair], site.agenda
     line, promise = _line_of(site, record)
@@ -130,7 +96,7 @@ def file(site: "Site", pair: RobotPair, now_s: float) -> None:
         agenda.lines[line].offer(pair, weight, now_s)
 
 
-def reweigh(site: "Site", pair: RobotPair) -> None:
+def reweigh(site: Site, pair: RobotPair) -> None:
     """Gives a pair that waits the weight that it has now; it keeps its place in the line."""
     for line, turns in site.agenda.lines.items():
         if pair in turns:
@@ -139,7 +105,7 @@ def reweigh(site: "Site", pair: RobotPair) -> None:
             turns.offer(pair, pair_weight(site, pair, record, line, promise), 0.0)
 
 
-def try_again(site: "Site", robot: "Robot", now_s: float) -> None:
+def try_again(site: Site, robot: Robot, now_s: float) -> None:
     """A robot's newest view hangs on a keyframe: pairs of which the last alignment failed may wait
     once more.
     """
@@ -147,13 +113,13 @@ def try_again(site: "Site", robot: "Robot", now_s: float) -> None:
         file(site, pair, now_s)
 
 
-def pick(site: "Site", now_s: float) -> tuple[RobotPair, ViewPair] | None:
+def pick(site: Site, now_s: float) -> tuple[RobotPair, ViewPair] | None:
     """The pair whose turn it is, and its most promising keyframes, which are taken off the list."""
     agenda = site.agenda
     running = [pair for pair, record in site.pairs.items() if record.running]
     for line, turns in agenda.lines.items():
         if len(turns):
-            agenda.kinds.offer(line, _SHARES[line], 0.0)
+            agenda.kinds.offer(line, SHARES[line], 0.0)
         else:
             agenda.kinds.withdraw(line)
     while (kind := agenda.kinds.pick(0.0)) is not None:
@@ -177,7 +143,7 @@ def pick(site: "Site", now_s: float) -> tuple[RobotPair, ViewPair] | None:
     return None
 
 
-def _line_of(site: "Site", record: "PairRecord") -> tuple[Line | None, float]:
+def _line_of(site: Site, record: PairRecord) -> tuple[Line | None, float]:
     """The line that a pair belongs to, and what its best views promise there."""
     waiting = _waiting(site, record)
     apart = [promise for views, promise in waiting.items() if not site.joined(*views)]
@@ -189,7 +155,7 @@ def _line_of(site: "Site", record: "PairRecord") -> tuple[Line | None, float]:
     return None, 0.0
 
 
-def _waiting(site: "Site", record: "PairRecord") -> dict[ViewPair, float]:
+def _waiting(site: Site, record: PairRecord) -> dict[ViewPair, float]:
     """What two robots' views promise that wait to be aligned: keyframes, and those to be tried
     again while they are kept.
     """
@@ -198,7 +164,7 @@ def _waiting(site: "Site", record: "PairRecord") -> dict[ViewPair, float]:
     return {record.retry: record.retry_promise, **record.untried}
 
 
-def _lay_beside(site: "Site", view: ViewName, now_s: float) -> None:
+def _lay_beside(site: Site, view: ViewName, now_s: float) -> None:
     for other, overlap in by_poses(site, view).items():
         note_promise(site, view, other, overlap, now_s)
     pairs = ((view, other) for other in to_compare(site, view))
@@ -209,7 +175,7 @@ def _lay_beside(site: "Site", view: ViewName, now_s: float) -> None:
             site.pair(a.robot, b.robot)
 
 
-def _think_again(site: "Site", record: "PairRecord") -> None:
+def _think_again(site: Site, record: PairRecord) -> None:
     """Where poses now say what two views see in common, they count instead of looks."""
     for a, b in list(record.untried):
         if not site.joined(a, b):

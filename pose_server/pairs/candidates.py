@@ -7,17 +7,15 @@ third of a millisecond, aligning a hundred, and most pairs of a large fleet have
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from pose_server.geometry.se3 import inverse
+from pose_server.site import Site
+from pose_server.state.robots import Robot
 from pose_server.views import KeptView, likeness
 from protocol.messages import ViewName
-
-if TYPE_CHECKING:
-    from pose_server.site import Robot, Site
 
 Floats = npt.NDArray[np.floating]
 
@@ -29,7 +27,7 @@ _GRID = 4  # by so many rays in each direction two views are laid on each other
 _WIDE_COSINE = 0.35  # optical axes further apart than 70 deg are not worth trying
 
 
-def similarity(site: "Site", a: ViewName, b: ViewName) -> float:
+def similarity(site: Site, a: ViewName, b: ViewName) -> float:
     """The likeness of two kept keyframes, computed once."""
     views = (a, b) if str(a) < str(b) else (b, a)
     if views not in site.similarities:
@@ -37,14 +35,14 @@ def similarity(site: "Site", a: ViewName, b: ViewName) -> float:
     return site.similarities[views]
 
 
-def candidate_views(site: "Site", robot: "Robot", view: ViewName) -> list[ViewName]:
+def candidate_views(site: Site, robot: Robot, view: ViewName) -> list[ViewName]:
     """The robot's keyframes that look most like a view, best first."""
     new = site.views[view]
     known = [keyframe for keyframe in robot.track.keyframes if keyframe in site.views]
     return sorted(known, key=lambda keyframe: -likeness(new, site.views[keyframe]))
 
 
-def by_poses(site: "Site", view: ViewName) -> dict[ViewName, float]:
+def by_poses(site: Site, view: ViewName) -> dict[ViewName, float]:
     """Keyframes of other robots in the view's component that are expected to see the same, the
     best few of each robot, with their expected overlap (0 to 1).
     """
@@ -60,7 +58,7 @@ def by_poses(site: "Site", view: ViewName) -> dict[ViewName, float]:
     return _best_of_robots(others, expected_overlaps(site, view, others))
 
 
-def to_compare(site: "Site", view: ViewName) -> list[ViewName]:
+def to_compare(site: Site, view: ViewName) -> list[ViewName]:
     """Keyframes outside of the view's component whose looks are to be compared with its."""
     assert site.solution is not None
     component = set(site.solution.components[site.solution.nodes[view].root])
@@ -71,7 +69,7 @@ def to_compare(site: "Site", view: ViewName) -> list[ViewName]:
     return found
 
 
-def expected_overlaps(site: "Site", view: ViewName, others: Sequence[ViewName]) -> Floats:
+def expected_overlaps(site: Site, view: ViewName, others: Sequence[ViewName]) -> Floats:
     """(N,) share of what a view sees, at its median depth, that each of the others in its
     component sees as well and the other way round, the smaller of both.
     """

@@ -10,8 +10,9 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from typing import Any
 
-from pose_server.pairs.engine import Job, run_job, use_one_thread
+from pose_server.pairs.engine import run_job, use_one_thread
 from pose_server.pairs.judging import PairResult
+from pose_server.workers.jobs import Job
 from protocol.errors import FleetPoseError, UnreachableError
 
 log = logging.getLogger(__name__)

@@ -3,27 +3,22 @@ be watched side by side.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import Protocol
 
 from pose_server.pairs.align import align_from, align_pair, align_wide, is_settled
 from pose_server.pairs.clicked import with_clicks
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.paper import align_as_published
 from pose_server.pairs.views import PreparedView
+from pose_server.workers.jobs import Job, RecipeName
 
-if TYPE_CHECKING:
-    from pose_server.pairs.engine import Job
-
-RecipeName = Literal["full", "paper"]
 BothWide = Callable[[], tuple[PreparedView, PreparedView]]
 
 
 class Recipe(Protocol):
     """How a job becomes a result."""
 
-    def align(
-        self, job: "Job", i: PreparedView, j: PreparedView, both_wide: BothWide
-    ) -> PairResult:
+    def align(self, job: Job, i: PreparedView, j: PreparedView, both_wide: BothWide) -> PairResult:
         """Aligns the two views of a job.
 
         Args:
@@ -37,9 +32,7 @@ class Recipe(Protocol):
 class Full:
     """Several starts, features, surfaces, a verdict; clicks are evidence like any other."""
 
-    def align(
-        self, job: "Job", i: PreparedView, j: PreparedView, both_wide: BothWide
-    ) -> PairResult:
+    def align(self, job: Job, i: PreparedView, j: PreparedView, both_wide: BothWide) -> PairResult:
         sets = job.click_sets(i, j)
         starts = [*job.starts, *(start for one in sets for start in one.starts)]
         if job.known is not None:
@@ -54,9 +47,7 @@ class Full:
 class Paper:
     """The method as published: see `pairs.paper`."""
 
-    def align(
-        self, job: "Job", i: PreparedView, j: PreparedView, both_wide: BothWide
-    ) -> PairResult:
+    def align(self, job: Job, i: PreparedView, j: PreparedView, both_wide: BothWide) -> PairResult:
         return align_as_published(i, j, job.clicks, job.starts)
 
 

@@ -6,27 +6,25 @@ they did not see before. A robot that stands and sees what it saw is not asked a
 would be the same.
 """
 
-from typing import TYPE_CHECKING
-
 from pose_server.pairs.candidates import ENOUGH_EDGES, LEAST_OVERLAP, expected_overlaps
+from pose_server.site import Site
+from pose_server.state.pairs import PairRecord, RobotPair
+from pose_server.state.robots import Robot
 from pose_server.views import KeptView, likeness, something_moved, stands_still
 from protocol.keys import ordered_pair
 from protocol.messages import ViewName
 
-if TYPE_CHECKING:
-    from pose_server.site import PairRecord, Robot, RobotPair, Site
-
 _MOST_DOUBLINGS = 20  # of the rest between two tries: months
 
 
-def note_stand(robot: "Robot", view: KeptView) -> None:
+def note_stand(robot: Robot, view: KeptView) -> None:
     """Notes since which view a robot stands and sees the same."""
     stood = robot.stood
     if stood is None or not stands_still(stood, view) or something_moved(stood, view):
         robot.stood = view
 
 
-def retries_due(site: "Site", robot: "Robot", now_s: float) -> list["RobotPair"]:
+def retries_due(site: Site, robot: Robot, now_s: float) -> list[RobotPair]:
     """Lays a robot's newest view that hangs somewhere beside those of the robots with which its
     last alignment failed, where they have rested and one of both changed; the pairs.
     """
@@ -46,21 +44,21 @@ def retries_due(site: "Site", robot: "Robot", now_s: float) -> list["RobotPair"]
     return due
 
 
-def _has_rested(site: "Site", record: "PairRecord", now_s: float) -> bool:
+def _has_rested(site: Site, record: PairRecord, now_s: float) -> bool:
     if record.failures == 0 or record.running or record.clicks_due:
         return False
     rest_s = site.weights.retry_s * 2.0 ** min(record.failures - 1, _MOST_DOUBLINGS)
     return now_s - record.last_s >= rest_s
 
 
-def _newest_views(site: "Site", pair: "RobotPair") -> tuple[ViewName, ViewName] | None:
+def _newest_views(site: Site, pair: RobotPair) -> tuple[ViewName, ViewName] | None:
     """The newest view of each that hangs on a keyframe, if both are kept."""
     newest = [site.robots[name].track.newest for name in pair if name in site.robots]
     views = [here.view for here in newest if here is not None and here.view in site.views]
     return (views[0], views[1]) if len(views) == 2 else None
 
 
-def _was_tried(site: "Site", record: "PairRecord", views: tuple[ViewName, ViewName]) -> bool:
+def _was_tried(site: Site, record: PairRecord, views: tuple[ViewName, ViewName]) -> bool:
     """Whether views that show the same as these were aligned already."""
     before = [*record.tried, *([] if record.last_views is None else [record.last_views])]
     return any(
@@ -72,7 +70,7 @@ def _was_tried(site: "Site", record: "PairRecord", views: tuple[ViewName, ViewNa
     )
 
 
-def _shows_the_same(site: "Site", old: ViewName, new: ViewName) -> bool:
+def _shows_the_same(site: Site, old: ViewName, new: ViewName) -> bool:
     """Whether a robot has stood still, and seen the same, from one of its views to a newer one."""
     stood = site.robots[new.robot].stood
     if stood is None or old.epoch != new.epoch:
@@ -80,7 +78,7 @@ def _shows_the_same(site: "Site", old: ViewName, new: ViewName) -> bool:
     return old == new or min(old.seq, new.seq) >= stood.name.seq
 
 
-def _promise(site: "Site", a: ViewName, b: ViewName) -> float | None:
+def _promise(site: Site, a: ViewName, b: ViewName) -> float | None:
     """What two views promise, as for keyframes; none where they are not worth an alignment, or hang
     on a keyframe that no solution knows yet.
     """

@@ -6,43 +6,18 @@ relative pose that is known, the regression error and the operator's corresponde
 are here.
 """
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
-
 from pose_server.pairs.starts import FULL_POSE
-
-if TYPE_CHECKING:
-    from pose_server.site import PairRecord, RobotPair, Site
-
-Line = Literal["joining", "unlikely", "sharpening"]
+from pose_server.scheduling.settings import Line
+from pose_server.site import Site
+from pose_server.state.pairs import PairRecord, RobotPair
 
 _LEAST_PROMISE = 0.05  # looks deceive: no pair is hopeless
 _WRONG_NEEDS = 3.0  # a pair whose best alignment is not trusted needs more than its share
 _ERROR_SHARE = 0.01  # of the depth: an error that adds the pair's own weight once
 
 
-@dataclass(frozen=True)
-class Weights:
-    """What raises a pair's weight, and how long one rests that failed. None of it was fitted.
-
-    Attributes:
-        clicks: what the pair's live correspondences add, as a share of its own weight, once there
-            are three; fewer add in proportion, more add no more. The paper has operators make at
-            most three per pair: they make a pose.
-        error: the most that the error of its last alignment adds, as a share of its own weight. An
-            error of 1 % of the depth adds it once. Some bound is needed: a pair that is hopelessly
-            off must not keep all others waiting.
-        retry_s: rest of a pair after an alignment failed, seconds; each failure in a row doubles
-            it. 10 s is what doubles the weight of a pair that waits (`schedule.AGE_S`).
-    """
-
-    clicks: float = 1.0
-    error: float = 2.0
-    retry_s: float = 10.0
-
-
 def pair_weight(
-    site: "Site", pair: "RobotPair", record: "PairRecord", line: Line, promise: float
+    site: Site, pair: RobotPair, record: PairRecord, line: Line, promise: float
 ) -> float:
     """What a pair promises, more for the operator's correspondences, for a large last error and for
     a result that is not trusted, less for every link it has and for every try that failed.
@@ -60,13 +35,13 @@ def pair_weight(
     return weight
 
 
-def live_clicks(site: "Site", pair: "RobotPair", record: "PairRecord") -> int:
+def live_clicks(site: Site, pair: RobotPair, record: PairRecord) -> int:
     """Correspondences of a pair that are neither erased nor contradicted by the images."""
     items = (kept.item for kept in site.book.of(*pair))
     return sum(record.heard.get((item.id, item.revision)) is not False for item in items)
 
 
-def _by_error(site: "Site", record: "PairRecord") -> float:
+def _by_error(site: Site, record: PairRecord) -> float:
     """What the error of the last alignment adds; one that failed has none."""
     last = record.last
     if last is None or last.verdict == "rejected":

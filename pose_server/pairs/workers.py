@@ -15,8 +15,9 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from typing import Protocol
 
-from pose_server.pairs.engine import Done, Job, run_job, use_one_thread
+from pose_server.pairs.engine import run_job, use_one_thread
 from pose_server.pairs.judging import PairResult
+from pose_server.workers.jobs import Done, Job
 
 MAX_TRIES = 2
 NICE = 5  # of workers whose jobs nobody waits for

@@ -15,11 +15,11 @@ from pose_server import alarms
 from pose_server.correspondences.book import Book
 from pose_server.correspondences.records import BookState
 from pose_server.pairs.align import align_pair
-from pose_server.pairs.engine import Done, EncodedView, Job
 from pose_server.pairs.tracking import Attached
 from pose_server.pairs.views import PreparedView, prepare_view
 from pose_server.site import Site
 from pose_server.views import KeptView, open_view, something_moved, stands_still
+from pose_server.workers.jobs import Done, EncodedView, Job
 from protocol.codec import pack
 from protocol.messages import View, ViewName
 from robot_agent.cameras.rig import StereoRig

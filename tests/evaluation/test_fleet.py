@@ -5,9 +5,9 @@ import random
 
 import pytest
 
-from evaluation.datasets import open_recording
 from evaluation.fleet import FleetOptions, named_skip_pairs, plan_fleet, run
 from evaluation.observer import SeenView, digest_of
+from evaluation.opening import open_recording
 from evaluation.parts import parts_of
 from protocol.errors import DataFolderError, FleetPoseError
 from protocol.keys import new_epoch

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.datasets import open_recording
 from evaluation.geometry import inverse, rigid, transform
 from evaluation.interaction.fleet import connected, solve_ring
 from evaluation.interaction.hand import WRONG_PX, right_clicks, with_wrong, wrong_of
@@ -18,6 +17,7 @@ from evaluation.interaction.ring_report import write_summaries
 from evaluation.interaction.rows import named
 from evaluation.interaction.truth import true_pixels
 from evaluation.interaction.worker import ClickedAnswer, Lifted, timed_icp
+from evaluation.opening import open_recording
 from evaluation.pair_worker import Answer
 from evaluation.pairs_report import POSE_FILE_COLUMNS
 from pose_server.geometry import icp

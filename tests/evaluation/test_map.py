@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.datasets import open_recording
 from evaluation.mapping.command import MapOptions, run
 from evaluation.mapping.compare import compared, moved_by_poses
 from evaluation.mapping.memory import peak_memory
 from evaluation.mapping.truth import at_true_poses, true_cloud, world_from_fleet
+from evaluation.opening import open_recording
 from pose_server.mapping.located import PlacedView
 from pose_server.views import KeptView, open_view
 from protocol.codec import pack

@@ -8,10 +8,10 @@ import pytest
 from typer.testing import CliRunner
 
 from evaluation.__main__ import app
-from evaluation.datasets import open_recording
 from evaluation.offline.command import OfflineOptions, run
 from evaluation.offline.fleet import Fleet, Placed, draw_views
 from evaluation.offline.report import summarize, worst_first
+from evaluation.opening import open_recording
 from evaluation.options import only_one
 from evaluation.parts import checked_views
 from evaluation.together import Sights, chained, paired_up

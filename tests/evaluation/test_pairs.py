@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from evaluation.datasets import open_recording
+from evaluation.opening import open_recording
 from evaluation.pairs import limited, pairs_of, run
 from tests.data import shared_data
 from tests.evaluation.makers import write_posed_views, write_rgbd

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.datasets import open_recording
 from evaluation.interaction.clicks import ClicksOptions, interval, pairs_in_range
 from evaluation.interaction.following import POLICIES, Step
 from evaluation.interaction.persist import PersistOptions, run, runs_of, summarize
 from evaluation.interaction.rows import ClickRow
 from evaluation.interaction.walks import Walk
+from evaluation.opening import open_recording
 from evaluation.scoring import Limits
 from protocol.errors import DataFolderError
 from tests.evaluation.makers import write_posed_views, write_rgbd

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from evaluation.datasets import CLOUD_KINDS, open_recording, points_of, shared_tracks
+from evaluation.datasets import CLOUD_KINDS, shared_tracks
 from evaluation.fleet import FleetOptions, plan_fleet
 from evaluation.geometry import inverse, transform
 from evaluation.interaction.truth import true_depth, true_pixels
+from evaluation.opening import open_recording, points_of
 from evaluation.options import WorldOption
 from evaluation.pair_worker import encode
 from evaluation.questions.play import Task, clicks_in

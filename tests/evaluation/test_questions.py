@@ -6,8 +6,8 @@ import json
 import numpy as np
 import pytest
 
-from evaluation.datasets import open_recording
 from evaluation.geometry import inverse
+from evaluation.opening import open_recording
 from evaluation.questions import play as playing
 from evaluation.questions.command import QuestionsOptions, run
 from evaluation.questions.play import Played, Run, Task

@@ -7,7 +7,8 @@ import pytest
 from typer.testing import CliRunner
 
 from evaluation.__main__ import app
-from evaluation.datasets import median_depth_m, open_recording, points_of, shared_tracks
+from evaluation.datasets import shared_tracks
+from evaluation.opening import median_depth_m, open_recording, points_of
 from evaluation.reconstructed import in_metres
 from evaluation.strip import strip
 from protocol.errors import DataFolderError

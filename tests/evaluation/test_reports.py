@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from evaluation.datasets import open_recording
+from evaluation.opening import open_recording
 from evaluation.pair_row import PairRow
 from evaluation.pairs_calls import unsolved
 from evaluation.pairs_plots import plot_all, plot_precision_recall

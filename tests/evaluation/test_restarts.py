@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.datasets import open_recording
 from evaluation.fleet_scoring import PoseNow, score_sample
+from evaluation.opening import open_recording
 from evaluation.restarts import RestartsOptions, run, views_of
 from evaluation.restarts_report import scored, summarize, write_results
 from evaluation.scoring import Limits

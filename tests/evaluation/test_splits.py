@@ -1,7 +1,7 @@
 """Reports say whether a place was fitted on."""
 
 from evaluation import splits
-from evaluation.datasets import open_recording
+from evaluation.opening import open_recording
 from evaluation.pairs_report import write_results
 from tests.evaluation.makers import write_posed_views
 

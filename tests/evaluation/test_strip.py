@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from evaluation.datasets import open_recording
+from evaluation.opening import open_recording
 from evaluation.strip import noise_model, random_name, strip
 from protocol.errors import DataFolderError
 from protocol.keys import checked_name

@@ -5,15 +5,10 @@ import random
 import numpy as np
 import pytest
 
-from evaluation.datasets import (
-    CLOUD_KINDS,
-    in_ring_order,
-    open_recording,
-    points_of,
-    shared_tracks,
-)
+from evaluation.datasets import CLOUD_KINDS, in_ring_order, shared_tracks
 from evaluation.geometry import transform
 from evaluation.interaction.ring_layout import rings_of
+from evaluation.opening import open_recording, points_of
 from evaluation.strip import noise_model, strip
 from evaluation.synth import SynthOptions, run
 from protocol.errors import FleetPoseError

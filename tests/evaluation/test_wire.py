@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from evaluation import wire
-from evaluation.datasets import open_recording
+from evaluation.opening import open_recording
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from pose_server.fetching import Fetcher
 from pose_server.inbox import Inbox, Selected, TokenSeen, Updated
 from pose_server.matrix import pair_cells
 from pose_server.pairs.agenda import compare_some
-from pose_server.pairs.engine import Done, EncodedView, Job, run_job
+from pose_server.pairs.engine import run_job
 from pose_server.publish import Stamp
 from pose_server.publishers import Publishers
 from pose_server.session.graph_store import Graph
@@ -22,6 +22,7 @@ from pose_server.session.restoring import restored_site
 from pose_server.settings import ServerSettings
 from pose_server.site import MAX_EPOCHS, SiteFullError
 from pose_server.views import open_view
+from pose_server.workers.jobs import Done, EncodedView, Job
 from protocol.clouds import SalientPoints, decode_salient, encode_salient, encode_scattered
 from protocol.codec import encoding_of, pack
 from protocol.drops import Drops

@@ -8,12 +8,13 @@ import pytest
 
 from pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
 from pose_server.pairs.clicked import P_SUPPORTED, P_UNSUPPORTED, with_clicks
-from pose_server.pairs.engine import EncodedView, Job, run_job
+from pose_server.pairs.engine import run_job
 from pose_server.pairs.hearing import hear
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.pair import RATIO, Pair
 from pose_server.pairs.starts import Clicks, operator_starts
 from pose_server.pairs.views import prepare_view
+from pose_server.workers.jobs import EncodedView, Job
 from protocol.codec import pack
 from tests.pose_server.scene import K, descriptors, pair_of_views, turned, view, walls
 

@@ -9,8 +9,9 @@ import pytest
 from distributed import LocalCluster
 
 from pose_server.pairs.cluster import ClusterPool
-from pose_server.pairs.engine import Done, EncodedView, Job, run_job
+from pose_server.pairs.engine import run_job
 from pose_server.pairs.workers import Engine
+from pose_server.workers.jobs import Done, EncodedView, Job
 from protocol.codec import pack
 from protocol.errors import UnreachableError
 from protocol.transport import free_port, wait_until

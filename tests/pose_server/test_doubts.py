@@ -10,10 +10,10 @@ import pytest
 
 from pose_server import pipeline, publish
 from pose_server.geometry.se3 import inverse, make_pose
-from pose_server.pairs.engine import Done
 from pose_server.pairs.judging import PairResult
 from pose_server.settings import ServerSettings
 from pose_server.site import Site
+from pose_server.workers.jobs import Done
 from protocol.messages import Odometry, RobotState, View, ViewName
 from tests.pose_server.scene import EPOCH, descriptors, turned, view, walls
 from tests.pose_server.test_flows import kept, site_of, work_off

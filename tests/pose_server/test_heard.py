@@ -7,13 +7,14 @@ from pose_server import pipeline
 from pose_server.correspondences.book import Book
 from pose_server.fleet.types import Edge
 from pose_server.geometry.se3 import inverse, transform
-from pose_server.pairs.engine import Done, run_job
+from pose_server.pairs.engine import run_job
 from pose_server.pairs.judging import PairResult
 from pose_server.publish import Stamp, fleet_state, robot_pose
 from pose_server.questions import questions
 from pose_server.settings import ServerSettings
 from pose_server.site import Site
 from pose_server.views import open_view
+from pose_server.workers.jobs import Done
 from protocol.codec import encoding_of, pack
 from protocol.messages import OperatorUpdate, View
 from tests.pose_server.scene import K, descriptors, turned, view, walls

@@ -5,10 +5,11 @@ import pytest
 
 from pose_server import pipeline, publish
 from pose_server.frames import position_sigma
-from pose_server.pairs.engine import Done, run_job
+from pose_server.pairs.engine import run_job
 from pose_server.session.restoring import restore
 from pose_server.settings import ServerSettings
 from pose_server.site import MAX_HELD_BACK, PINNED_S, Site
+from pose_server.workers.jobs import Done
 from protocol.errors import CodecError
 from protocol.messages import Selection, ViewName
 from tests.pose_server.scene import EPOCH, descriptors, turned, view, walls

@@ -13,12 +13,13 @@ from pose_server.following import followed, newest_arrived
 from pose_server.geometry.motion import Mask, moves_together
 from pose_server.geometry.se3 import inverse
 from pose_server.pairs.align import align_pair
-from pose_server.pairs.engine import Done, Job, run_job
+from pose_server.pairs.engine import run_job
 from pose_server.pairs.judging import PairResult
 from pose_server.pairs.moving import MOST_MASKED, moving_masks, without_moving
 from pose_server.pairs.pair import RATIO, Pair
 from pose_server.pairs.views import prepare_view
 from pose_server.site import Site
+from pose_server.workers.jobs import Done, Job
 from protocol.codec import pack
 from protocol.messages import View
 from tests.pose_server.scene import descriptors, turned, view, walls

@@ -15,12 +15,12 @@ from pose_server.fleet.types import EdgeJudgement
 from pose_server.frames import position_sigma
 from pose_server.geometry.se3 import hat
 from pose_server.matrix import pair_cells
-from pose_server.pairs.engine import Done
 from pose_server.pairs.judging import PairResult
 from pose_server.relations import p_grave_of, relative_pose
 from pose_server.settings import ServerSettings
 from pose_server.site import Site
 from pose_server.telling import LONGEST_PAUSE_S, Teller, pause_s
+from pose_server.workers.jobs import Done
 from protocol.codec import unpack
 from protocol.keys import Keys
 from protocol.messages import RelativePose, RobotPose, ViewName, WhyNot

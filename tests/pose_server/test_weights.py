@@ -12,8 +12,10 @@ from pose_server import pipeline
 from pose_server.correspondences.book import Book
 from pose_server.pairs.agenda import note_promise, pick
 from pose_server.pairs.judging import PairResult
-from pose_server.pairs.weights import Weights, live_clicks, pair_weight
-from pose_server.site import PairRecord, Site
+from pose_server.pairs.weights import live_clicks, pair_weight
+from pose_server.scheduling.settings import Weights
+from pose_server.site import Site
+from pose_server.state.pairs import PairRecord
 from tests.pose_server.scene import turned
 from tests.pose_server.test_flows import (
     Forgetful,

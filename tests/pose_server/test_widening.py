@@ -5,8 +5,9 @@ import pytest
 
 from pose_server import pipeline, widening
 from pose_server.pairs import agenda
-from pose_server.pairs.engine import Done, run_job
+from pose_server.pairs.engine import run_job
 from pose_server.site import Site
+from pose_server.workers.jobs import Done
 from protocol.codec import pack
 from tests.pose_server.scene import descriptors, inverse, pair_of_views, turned, view, walls
 from tests.pose_server.test_flows import named, site_of, work_off

@@ -1,0 +1,53 @@
+"""Why robots are not believed."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from pose_server.odometry import Moment
+from pose_server.pairs.tracking import Attached
+from protocol.messages import ViewName
+
+Kind = Literal["frozen", "still", "lost", "carried"]
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Why a robot's pose is not believed.
+
+    Attributes:
+        kind: of alarm.
+        text: the alarm's.
+        since: the view with which it began.
+    """
+
+    kind: Kind
+    text: str
+    since: ViewName
+
+
+@dataclass(frozen=True)
+class Standstill:
+    """Where a robot was believed to be last, before its odometry drove on without its pixels.
+
+    Attributes:
+        at: the last view that was believed.
+        moment: the odometry of that view.
+        since_s: when the first view came that contradicts, by the server's monotonic clock.
+    """
+
+    at: Attached
+    moment: Moment
+    since_s: float
+
+
+@dataclass
+class Doubts:
+    """What contradicts what, by robot.
+
+    Attributes:
+        standing: why robots are not believed now.
+        standstills: robots whose odometry drives on without their pixels.
+    """
+
+    standing: dict[str, Doubt] = field(default_factory=dict)
+    standstills: dict[str, Standstill] = field(default_factory=dict)

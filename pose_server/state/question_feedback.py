@@ -1,0 +1,88 @@
+"""Memory of questions and answers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from pose_server.fleet.questions import CLICKS_TO_JOIN, Standing
+from pose_server.state.pairs import RobotPair, ViewPair
+from protocol.messages import Answer, Question
+
+Client = tuple[str, str]
+
+
+_FRUITLESS = 0.2  # of the predicted gain
+
+
+@dataclass(frozen=True)
+class Look:
+    """A pair on an operator's screen: since when, and how many correspondences it had then."""
+
+    pair: RobotPair
+    keyframes: ViewPair
+    since_s: float
+    correspondences: int
+
+
+@dataclass
+class Open:
+    """Clicks in a pair whose effect is still being watched.
+
+    Attributes:
+        predicted_m: drop of the mean sigma per click, as the pair was asked for.
+        before: how the fleet stood.
+        told: whether an event said what they did.
+    """
+
+    pair: RobotPair
+    predicted_m: float
+    before: Standing
+    clicks: int = 0
+    told: bool = False
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Questions, and from what they were ranked, when: the parts of the fleet and who is asked
+    about, and the numbers, which change with every solve. `shown` are the same with suggestions,
+    about views of now.
+    """
+
+    parts: object = None
+    numbers: object = None
+    at_s: float = float("-inf")
+    questions: tuple[Question, ...] = ()
+    shown: tuple[Question, ...] | None = None
+    shown_s: float = float("-inf")
+
+
+@dataclass
+class Asking:
+    """Memory of questions and answers.
+
+    Attributes:
+        looks: what each operator's client shows now.
+        in_vain: how often keyframes were looked at without a click.
+        open: the pair that was clicked in last.
+        answers: the newest last; that of the open pair still changes.
+        asked: the questions as they were ranked last.
+    """
+
+    looks: dict[Client, Look] = field(default_factory=dict)
+    in_vain: dict[ViewPair, int] = field(default_factory=dict)
+    open: Open | None = None
+    answers: tuple[Answer, ...] = ()
+    asked: Asked = Asked()
+
+    def times_in_vain(self, pairs: Sequence[ViewPair]) -> int:
+        """How often an operator looked at any of these keyframes in vain."""
+        return sum(self.in_vain.get(views, 0) for views in dict.fromkeys(pairs))
+
+    def fruitless(self, pair: RobotPair) -> int:
+        """Sets of three clicks in a pair of joined robots that did far less than was expected."""
+        return sum(
+            answer.clicks // CLICKS_TO_JOIN
+            for answer in self.answers
+            if (answer.i, answer.j) == pair
+            and not answer.joined
+            and answer.realised < _FRUITLESS * answer.predicted
+        )

@@ -1,0 +1,61 @@
+"""A robot as the server knows it: its life signs and its track."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from pose_server.fleet.types import NodePose
+from pose_server.pairs.tracking import Track
+from pose_server.views import KeptView
+from protocol.messages import Camera, PairError, RobotPose, ViewName
+
+Floats = npt.NDArray[np.floating]
+
+
+@dataclass
+class Robot:
+    """One robot: its life signs and its track.
+
+    Attributes:
+        epochs: of the tokens that are there now, the last one is the one that counts.
+        newest: the newest view received.
+        waiting: the newest view that is not tracked yet.
+        tracking: the view that a worker follows at present.
+        behind: older views that somebody looks at and that hang nowhere yet.
+        placing: the one of these that a worker is at.
+        camera: of the newest view.
+        stamp_ns: of the newest view, by the robot's clock.
+        changes: of calibration, and times that the clock went back.
+        errors: of its pairs as they are told; None when one of them changed.
+        stood: the first view since which it has stood still and seen the same.
+    """
+
+    name: str
+    epochs: list[str] = field(default_factory=list)
+    newest: ViewName | None = None
+    waiting: ViewName | None = None
+    tracking: ViewName | None = None
+    behind: list[ViewName] = field(default_factory=list)
+    placing: ViewName | None = None
+    camera: Camera | None = None
+    stamp_ns: int = 0
+    changes: int = 0
+    track: Track = field(default_factory=Track)
+    published: RobotPose | None = None
+    published_keyframe: tuple[ViewName, Floats] | None = None
+    published_node: NodePose | None = None
+    errors: tuple[PairError, ...] | None = None
+    poses_sent: int = 0
+    untracked: int = 0
+    stood: KeptView | None = None
+
+    @property
+    def alive(self) -> bool:
+        """Whether its token is there."""
+        return bool(self.epochs)
+
+    @property
+    def epoch(self) -> str | None:
+        """Of its present life, None while its token is not there."""
+        return self.epochs[-1] if self.epochs else None
