@@ -7,9 +7,18 @@ from typing import Annotated
 
 import typer
 
-from evaluation import live
-from evaluation.options import Clouds, Data, MetresPerUnit, Mistakes, Out, Unique, World, only_one
-from evaluation.options import numbers as _numbers
+from evaluation.cli import live
+from evaluation.cli.options import (
+    Clouds,
+    Data,
+    MetresPerUnit,
+    Mistakes,
+    Out,
+    Unique,
+    World,
+    only_one,
+)
+from evaluation.cli.options import numbers as _numbers
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, rich_markup_mode=None)
 app.add_typer(live.app)
@@ -44,8 +53,8 @@ def pairs(
     ] = True,
 ) -> None:
     """Align every pair of a recording, automatically, and compare with the truth."""
-    from evaluation.pairs import run
-    from evaluation.reconstructed import in_metres
+    from evaluation.bench.pairs.command import run
+    from evaluation.data.reconstructed import in_metres
 
     data = in_metres(data, metres_per_unit)
     run(data, clouds.value if clouds else None, out, workers, limit, mirror_share, images)
@@ -60,7 +69,7 @@ def trust(
     ] = None,
 ) -> None:
     """Fit the probability of a grave error to some places, and judge it on others."""
-    from evaluation.trust import run
+    from evaluation.bench.trust import run
 
     run(fitted, held_out or [], out)
 
@@ -80,8 +89,8 @@ def align(
     ] = 0.3,
 ) -> None:
     """Align pairs that see enough of the same, beside Open3D and KISS-Matcher with GICP."""
-    from evaluation.align import run
-    from evaluation.reconstructed import in_metres
+    from evaluation.bench.align import run
+    from evaluation.data.reconstructed import in_metres
 
     data = in_metres(data, metres_per_unit)
     run(data, clouds.value if clouds else None, out, workers, limit, min_overlap)
@@ -118,8 +127,8 @@ def ring(
     other recipe that is in the folder already is drawn beside this one. `--recipe both` leaves the
     tables in OUT/paper and OUT/full. Quick: --clicks 0,3 --draws 3.
     """
-    from evaluation.interaction.ring import RingOptions, run
-    from evaluation.reconstructed import in_metres
+    from evaluation.bench.ring.command import RingOptions, run
+    from evaluation.data.reconstructed import in_metres
 
     options = RingOptions(
         data=in_metres(data, metres_per_unit),
@@ -154,7 +163,7 @@ def fleet_map(
 
     Writes map.ply, map.png and summary.json.
     """
-    from evaluation.mapping.command import MapOptions, run
+    from evaluation.bench.mapping.command import MapOptions, run
 
     kind = clouds.value if clouds else None
     run(MapOptions(data, kind, robots, first, voxel_m, workers), out)
@@ -199,9 +208,9 @@ def clicks(
     located and gravely off: none is right), told_wrong, and recovered: three right clicks that are
     added afterwards win.
     """
-    from evaluation.interaction import clicks as clicking
-    from evaluation.interaction import deceived
-    from evaluation.reconstructed import in_metres
+    from evaluation.bench.clicks import command as clicking
+    from evaluation.bench.clicks import deceived
+    from evaluation.data.reconstructed import in_metres
 
     low, high = _numbers("--angles", angles, 2)
     fewest, most = _from_to("--clicks", clicks)
@@ -244,7 +253,7 @@ def synth(
     Then run it: `pose-eval ring --data OUT --clouds stereo_dense --out RESULTS`; a plan:
     `pose-eval pairs --data OUT --clouds stereo_dense --out RESULTS`.
     """
-    from evaluation.synth import SynthOptions, run
+    from evaluation.bench.synth import SynthOptions, run
 
     run(out, SynthOptions(robots, seed, world.value if world else None, unique), workers)
 
@@ -271,7 +280,7 @@ def persist(
     the server does it. Without them each pair of views begins anew. The paper's ICP alone is
     measured beside both.
     """
-    from evaluation.interaction.persist import PersistOptions, run
+    from evaluation.bench.persist.command import PersistOptions, run
 
     run(PersistOptions(data, views, clicks, runs, separation, workers, seed), out)
 
@@ -293,7 +302,7 @@ def solve(
     Half of the edges are there at first, the others come one by one. Robots are joined by a tree
     of right edges; wrong ones are as sure of themselves as the right ones.
     """
-    from evaluation import solve as solving
+    from evaluation.bench import solve as solving
 
     if g2o is not None:
         solving.run_recorded(g2o, out)
@@ -321,8 +330,8 @@ def questions(
     questions are answered by the next window, one step along, left for right, or by one such point
     among right ones. Writes runs.csv, summary.json and clicks.png.
     """
-    from evaluation.questions.command import QuestionsOptions, run
-    from evaluation.reconstructed import in_metres
+    from evaluation.bench.questions.command import QuestionsOptions, run
+    from evaluation.data.reconstructed import in_metres
 
     kind = clouds.value if clouds else None
     data = in_metres(data, metres_per_unit)
@@ -343,8 +352,8 @@ def hmi(
     poses and errors of a fleet at 10 Hz and two images at 5 Hz; then pick targets by keys and by
     mouse in a real terminal (tmux).
     """
-    from evaluation.terminal.hmi import HmiOptions, run
-    from hmi_client.commands import size_of
+    from evaluation.system.terminal.hmi import HmiOptions, run
+    from hmi_client.cli.commands import size_of
 
     run(HmiOptions(robots, seconds, moving, targets, *size_of(size)), out)
 
@@ -358,7 +367,7 @@ def stand_in(
     site: Annotated[str, typer.Option(help="Name of the site.")] = "demo",
 ) -> None:
     """Say what a server and robots would say, for `hmi`."""
-    from evaluation.terminal.stand_in import Load, run
+    from evaluation.system.terminal.stand_in import Load, run
 
     run(Load(robots, moving=moving), tuple(connect or ()), site, notes)
 
@@ -384,9 +393,9 @@ def operate(
     """Join a fleet in two pieces by keys alone: the text client in a real terminal (tmux), and a
     simulated person who sees what is on it. Writes every screen and summary.json.
     """
-    from evaluation.reconstructed import all_in_metres
-    from evaluation.terminal.operate import OperateOptions, run
-    from hmi_client.commands import size_of
+    from evaluation.data.reconstructed import all_in_metres
+    from evaluation.system.terminal.operate import OperateOptions, run
+    from hmi_client.cli.commands import size_of
 
     kind = clouds.value if clouds else None
     how = (by_hand, kill_server, *size_of(size))
@@ -397,7 +406,7 @@ def operate(
 @app.command()
 def stereo(out: Out) -> None:
     """Play a stereo video of the synthetic world; check calibrations, right and wrong."""
-    from evaluation.stereo import run
+    from evaluation.bench.stereo import run
 
     run(out)
 
@@ -411,8 +420,8 @@ def wire(
     views: Annotated[int, typer.Option(min=1, help="So many, spread evenly.")] = 10,
 ) -> None:
     """Measure the cloud codecs beside PNG, Draco and raw numbers."""
-    from evaluation.reconstructed import in_metres
-    from evaluation.wire import run
+    from evaluation.bench.wire import run
+    from evaluation.data.reconstructed import in_metres
 
     data = in_metres(data, metres_per_unit)
     run(data, clouds.value if clouds else None, out, views)

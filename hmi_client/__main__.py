@@ -10,7 +10,7 @@ EXTRA = {"cv2", "textual", "rich"}
 def main() -> None:
     """Runs the command; bad input exits with 2, an unreachable fleet with 3."""
     try:
-        from hmi_client.commands import app
+        from hmi_client.cli.commands import app
 
         app()
     except UnreachableError as error:

@@ -80,8 +80,8 @@ def run(
     if dump_config:
         print(settings.model_dump_json(indent=2))
         return
-    from pose_server.build import build
-    from pose_server.process import serve
+    from pose_server.app.build import build
+    from pose_server.app.process import serve
 
     serve(lambda: build(settings))
 
@@ -102,7 +102,7 @@ def router(
     On a machine that others connect to: --listen tcp/0.0.0.0:7447. It then lets in everybody who
     reaches it, unencrypted, unless a configuration says otherwise.
     """
-    from pose_server.router import route
+    from pose_server.app.router import route
 
     route(tuple(listen or ["tcp/127.0.0.1:7447"]), config)
 
@@ -141,7 +141,7 @@ def export_session(
     its header). Points whose depth is known worse than to 5 % of the scene's depth are left out.
     """
     from pose_server.mapping.files import MapFiles
-    from pose_server.session.exporting import export
+    from pose_server.persistence.export import export
 
     files = MapFiles(map_file, picture, voxel_m)
     written = export(state_dir, out, files, lambda views: _watched(views, "views"))
@@ -187,7 +187,7 @@ def import_session(
     journal or in the folder `views` beside the file. What is there already is skipped. Ends with 1
     if anything was refused, and says what and why.
     """
-    from pose_server.session.importing import import_files
+    from pose_server.persistence.importing import import_files
 
     found = import_files(state_dir, files)
     for place, reason in found.refused:

@@ -11,25 +11,36 @@ from dataclasses import replace
 
 import numpy as np
 
-from pose_server.alarms import note_depths, note_mirror
-from pose_server.anchoring import choose_anchor, gauge_of
-from pose_server.asking import note_clicks, note_selection, note_solved
-from pose_server.clicks import click_factors, clicks_between, judge, note_heard
-from pose_server.correspondences.book import Outcome
-from pose_server.doubts import reconsider
-from pose_server.fleet.graph import solve_fleet
-from pose_server.fleet.types import GRAVE_BY_VERDICT, Edge, SolveSettings
-from pose_server.following import back_job, followed, look_back, newest_arrived, track_job
-from pose_server.frames import on_keyframes
-from pose_server.pairs import agenda
-from pose_server.pairs.judging import PairResult
-from pose_server.pairs.refining import Start
-from pose_server.pairs.tracking import Attached, accepted
-from pose_server.repeats import believed, note_refuted, note_repetition
-from pose_server.site import Site
+from pose_server.calibration.monitor import note_depths, note_mirror
+from pose_server.consistency.anchoring import choose_anchor, gauge_of
+from pose_server.consistency.doubts import reconsider
+from pose_server.consistency.repetition import believed, note_refuted, note_repetition
+from pose_server.correspondences.on_keyframes import (
+    click_factors,
+    clicks_between,
+    judge,
+    note_heard,
+)
+from pose_server.correspondences.store import Outcome
+from pose_server.frontend.frames import on_keyframes
+from pose_server.frontend.localization import (
+    back_job,
+    followed,
+    look_back,
+    newest_arrived,
+    track_job,
+)
+from pose_server.frontend.tracks import Attached, accepted
+from pose_server.pose_graph.graph import solve_fleet
+from pose_server.pose_graph.types import GRAVE_BY_VERDICT, Edge, SolveSettings
+from pose_server.questions.feedback import note_clicks, note_selection, note_solved
+from pose_server.registration.refinement import Start
+from pose_server.registration.verdict.evaluate import PairResult
+from pose_server.scheduling import pair_queue
+from pose_server.scheduling.affine_retries import note_open, wide_job
 from pose_server.state.pairs import RobotPair
-from pose_server.views import KeptView
-from pose_server.widening import note_open, wide_job
+from pose_server.state.site import Site
+from pose_server.state.views import KeptView
 from pose_server.workers.jobs import Done, Job
 from protocol.errors import CodecError
 from protocol.keys import ordered_pair
@@ -116,7 +127,7 @@ def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
     for outcome in outcomes:
         if outcome.accepted:
             site.pair(*outcome.pair).clicks_due = True
-            agenda.reweigh(site, outcome.pair)
+            pair_queue.reweigh(site, outcome.pair)
             site.dirty = True
             for view in outcome.views:
                 look_back(site, view)
@@ -180,7 +191,7 @@ def solve(site: Site, now_s: float, wanted: Collection[ViewName] | None = None) 
     note_repetition(site)
     reconsider(site)
     choose_anchor(site)
-    agenda.appraise(site, now_s)
+    pair_queue.appraise(site, now_s)
     note_solved(site)
 
 
@@ -299,7 +310,7 @@ def _robots_job(site: Site, now_s: float) -> Job | None:
 
 
 def _pair_job(site: Site, now_s: float) -> Job | None:
-    chosen = agenda.pick(site, now_s)
+    chosen = pair_queue.pick(site, now_s)
     if chosen is None:
         return None
     pair, (i, j) = chosen
@@ -349,7 +360,7 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
         site.unlink((at_i.keyframe, at_j.keyframe, "pair"))  # what was sure of it is not any more
     if accepted(done.result) and at_i is not None and at_j is not None:
         _link_pair(site, at_i, at_j, done)
-    agenda.file(site, ordered_pair(i.robot, j.robot), now_s)
+    pair_queue.file(site, ordered_pair(i.robot, j.robot), now_s)
 
 
 def _refuses_clicks(result: PairResult) -> bool:

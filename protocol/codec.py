@@ -11,8 +11,8 @@ import numpy as np
 import zstandard
 from pydantic import ValidationError
 
-from protocol.base import MAX_MESSAGE_BYTES, Message
 from protocol.errors import CodecError
+from protocol.messages.base import MAX_MESSAGE_BYTES, Message
 
 MAX_DECOMPRESSED_BYTES = 64 * 1024 * 1024
 MAX_ITEMS = 2_000_000  # of all lists and maps in a message: a few bytes each, but many in memory

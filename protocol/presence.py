@@ -7,8 +7,8 @@ import threading
 import time
 
 from protocol.errors import CodecError, NameTakenError
-from protocol.fields import EPOCH_PATTERN
 from protocol.keys import Keys
+from protocol.messages.fields import EPOCH_PATTERN
 from protocol.transport import Link, wait_until
 
 LEASE_S = 2.0

@@ -157,7 +157,7 @@ def calibrate_check(
 
     Ends with 0 where it fits, with 1 where it does not or cannot be told.
     """
-    from robot_agent.cameras.video import video_settings
+    from robot_agent.cameras.stereo.video import video_settings
     from robot_agent.checking.command import CheckOptions, run
 
     log_to_stderr(logging.WARNING)

@@ -11,7 +11,7 @@ import cv2
 
 from protocol.transport import SessionSettings
 from robot_agent.cameras.factory import open_camera
-from robot_agent.cameras.video import video_settings
+from robot_agent.cameras.stereo.video import video_settings
 from robot_agent.client import FleetRobot
 from robot_agent.sender import SenderSettings
 from robot_agent.settings import RobotSettings

@@ -26,7 +26,7 @@ from protocol.presence import LiveServer, Presence
 from protocol.transport import Link, SessionSettings, open_session
 from robot_agent.cameras.base import DepthImage, DisparityImage, Frame, Ranges, ScatteredPoints
 from robot_agent.cameras.frozen import Repeats
-from robot_agent.drawing import picture_of
+from robot_agent.features.depth_picture import picture_of
 from robot_agent.poses import PoseBoard
 from robot_agent.sender import Sender, SenderSettings
 

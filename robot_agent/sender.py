@@ -22,9 +22,9 @@ from protocol.messages import (
 )
 from protocol.transport import ENCODING_JPEG, Link
 from robot_agent.cameras.base import Frame
-from robot_agent.kept import JPEG_QUALITY, KeptViews, kept_view
-from robot_agent.packing import view_of
-from robot_agent.salient import salient_of
+from robot_agent.features.keypoints import salient_of
+from robot_agent.features.packing import view_of
+from robot_agent.recent_views import JPEG_QUALITY, KeptViews, kept_view
 
 log = logging.getLogger(__name__)
 

@@ -24,7 +24,7 @@ from mcap.writer import Writer
 from zstandard import ZstdError
 
 from hmi_client.errors import OperatorError
-from protocol.base import MAX_MESSAGE_BYTES
+from protocol.messages.base import MAX_MESSAGE_BYTES
 from protocol.transport import Sample
 
 Way = Literal["in", "answer", "out"]

@@ -11,17 +11,17 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import NoReturn, TypeVar
 
-from hmi_client.arrivals import checked_picture
-from hmi_client.depths import Depths
 from hmi_client.errors import OperatorError
-from hmi_client.intake import Intake
+from hmi_client.model.depths import Depths
+from hmi_client.model.session import OperatorSession
+from hmi_client.network.intake import Intake
+from hmi_client.network.message_decoder import checked_picture
 from hmi_client.recording.file import Record, Recording
-from hmi_client.session import OperatorSession
-from protocol.base import Message
 from protocol.codec import encoding_of, unpack
 from protocol.errors import FleetPoseError
 from protocol.keys import Keys
 from protocol.messages import ImageHeader, KeptView, OperatorUpdate, Selection
+from protocol.messages.base import Message
 from protocol.transport import Sample
 
 _FIXED = "this is a recording: nothing can be changed in it"

@@ -43,6 +43,6 @@ MIGRATIONS: tuple[tuple[str, ...], ...] = (
             PRIMARY KEY (robot_i, epoch_i, seq_i, robot_j, epoch_j, seq_j)
         ) STRICT""",
         """CREATE TABLE poses (robot TEXT PRIMARY KEY, pose BLOB NOT NULL) STRICT""",
-    ),  # the fleet's graph has a file of its own, `pose_server.session.graph_store`
+    ),  # the fleet's graph has a file of its own, `pose_server.persistence.graph_store`
     ("DROP TABLE alignments", "DROP TABLE poses"),
 )

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from pose_server.odometry import Moment
-from pose_server.pairs.tracking import Attached
+from pose_server.frontend.tracks import Attached
+from pose_server.state.odometry import Moment
 from protocol.messages import ViewName
 
 Kind = Literal["frozen", "still", "lost", "carried"]

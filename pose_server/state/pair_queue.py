@@ -3,8 +3,8 @@
 from collections import deque
 from dataclasses import dataclass, field
 
-from pose_server.pairs.schedule import Turns
 from pose_server.scheduling.settings import Line
+from pose_server.scheduling.weighted_round_robin import Turns
 from pose_server.state.pairs import RobotPair, ViewPair
 from protocol.messages import ViewName
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pose_server.pairs.judging import PairResult
+from pose_server.registration.verdict.evaluate import PairResult
 from protocol.messages import ViewName
 
 RobotPair = tuple[str, str]

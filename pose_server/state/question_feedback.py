@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from pose_server.fleet.questions import CLICKS_TO_JOIN, Standing
+from pose_server.questions.ranking import CLICKS_TO_JOIN, Standing
 from pose_server.state.pairs import RobotPair, ViewPair
 from protocol.messages import Answer, Question
 

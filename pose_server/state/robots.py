@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from pose_server.fleet.types import NodePose
-from pose_server.pairs.tracking import Track
-from pose_server.views import KeptView
+from pose_server.frontend.tracks import Track
+from pose_server.pose_graph.types import NodePose
+from pose_server.state.views import KeptView
 from protocol.messages import Camera, PairError, RobotPose, ViewName
 
 Floats = npt.NDArray[np.floating]

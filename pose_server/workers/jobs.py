@@ -3,17 +3,17 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from pose_server.geometry.features.motion import Mask
 from pose_server.geometry.icp import Method
-from pose_server.geometry.motion import Mask
-from pose_server.pairs.judging import PairResult
-from pose_server.pairs.refining import Start
-from pose_server.pairs.starts import (
+from pose_server.registration.operator_starts import (
     Clicks,
     OperatorStart,
     gravity_between,
     operator_starts,
 )
-from pose_server.pairs.views import PreparedView
+from pose_server.registration.prepared_view import PreparedView
+from pose_server.registration.refinement import Start
+from pose_server.registration.verdict.evaluate import PairResult
 from protocol.messages import ViewName
 
 _FOUND = ("verified", "plausible")

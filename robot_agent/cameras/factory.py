@@ -45,7 +45,7 @@ def open_camera(
         metres_per_unit: reconstructions, whose scale is arbitrary, and clouds.
         axes: clouds only, `robot` or `optical`.
         calibration: stereo only, its file.
-        video: stereo only, `robot_agent.cameras.video.VideoSettings`.
+        video: stereo only, `robot_agent.cameras.stereo.video.VideoSettings`.
         stop: stereo only, ends the waiting for a device.
 
     Raises:

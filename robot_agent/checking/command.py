@@ -10,10 +10,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from robot_agent.cameras.pairs import ImagePair, PairSource, open_pairs
-from robot_agent.cameras.rig import StereoRig
-from robot_agent.cameras.stereo import calibrated
-from robot_agent.cameras.video import VideoSettings
+from robot_agent.cameras.stereo.matching import calibrated
+from robot_agent.cameras.stereo.pairs import ImagePair, PairSource, open_pairs
+from robot_agent.cameras.stereo.rig import StereoRig
+from robot_agent.cameras.stereo.video import VideoSettings
 from robot_agent.checking.report import KnownLength, Report, check_rig, picture_of
 from robot_agent.checking.scale import CheckError
 

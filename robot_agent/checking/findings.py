@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from robot_agent.cameras.rectify import Rectifier
-from robot_agent.cameras.stereo import DISPARITY_SIGMA_PX, PIXEL_SIGMA_PX
+from robot_agent.cameras.stereo.matching import DISPARITY_SIGMA_PX, PIXEL_SIGMA_PX
+from robot_agent.cameras.stereo.rectify import Rectifier
 from robot_agent.checking.fit import (
     COLUMNS,
     ROWS,

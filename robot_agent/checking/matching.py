@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from robot_agent.cameras.pairs import ImagePair
-from robot_agent.cameras.rectify import Rectifier
-from robot_agent.salient import detect
+from robot_agent.cameras.stereo.pairs import ImagePair
+from robot_agent.cameras.stereo.rectify import Rectifier
+from robot_agent.features.keypoints import detect
 
 Floats = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]

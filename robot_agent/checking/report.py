@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from robot_agent.cameras.pairs import ImagePair
-from robot_agent.cameras.rig import StereoRig
-from robot_agent.cameras.stereo import StereoMatcher
+from robot_agent.cameras.stereo.matching import StereoMatcher
+from robot_agent.cameras.stereo.pairs import ImagePair
+from robot_agent.cameras.stereo.rig import StereoRig
 from robot_agent.checking.findings import Finding, Part, explained, judged, parts_of, rig_findings
 from robot_agent.checking.fit import Fit, fit_rig, pose_of
 from robot_agent.checking.matching import match_pairs, rectified

@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from protocol.errors import FleetPoseError
 from robot_agent.cameras.base import DisparityImage
-from robot_agent.cameras.rectify import Rectifier
-from robot_agent.cameras.stereo import StereoMatcher
-from robot_agent.lifting import lift_points
+from robot_agent.cameras.stereo.matching import StereoMatcher
+from robot_agent.cameras.stereo.rectify import Rectifier
+from robot_agent.features.inverse_depth import lift_points
 
 Floats = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]

@@ -7,26 +7,26 @@ import cv2
 import numpy as np
 import pytest
 
-from evaluation.world.facades import poster
-from evaluation.world.render import Quad, Renderer
-from evaluation.world.ring import RingWorld
-from evaluation.world.robots import HEIGHT, WIDTH
-from pose_server import alarms
-from pose_server.correspondences.book import Book
+from evaluation.simulate.world.materials.facades import poster
+from evaluation.simulate.world.render import Quad, Renderer
+from evaluation.simulate.world.ring import RingWorld
+from evaluation.simulate.world.robots import HEIGHT, WIDTH
+from pose_server.calibration import monitor
 from pose_server.correspondences.records import BookState
-from pose_server.pairs.align import align_pair
-from pose_server.pairs.tracking import Attached
-from pose_server.pairs.views import PreparedView, prepare_view
-from pose_server.site import Site
-from pose_server.views import KeptView, open_view, something_moved, stands_still
+from pose_server.correspondences.store import Book
+from pose_server.frontend.tracks import Attached
+from pose_server.registration.align import align_pair
+from pose_server.registration.prepared_view import PreparedView, prepare_view
+from pose_server.state.site import Site
+from pose_server.state.views import KeptView, open_view, something_moved, stands_still
 from pose_server.workers.jobs import Done, EncodedView, Job
 from protocol.codec import pack
 from protocol.messages import View, ViewName
-from robot_agent.cameras.rig import StereoRig
-from robot_agent.cameras.stereo import StereoMatcher
+from robot_agent.cameras.stereo.matching import StereoMatcher
+from robot_agent.cameras.stereo.rig import StereoRig
 from robot_agent.cameras.synthetic import mount
-from robot_agent.packing import view_of
-from robot_agent.salient import salient_points
+from robot_agent.features.keypoints import salient_points
+from robot_agent.features.packing import view_of
 
 ROBOTS, WRONG = 4, "r3"
 
@@ -66,8 +66,8 @@ def alarms_with(world: RingWorld, shots, rig: StereoRig) -> Site:
         views[name] = prepare_view(message)
     for a, b in itertools.combinations(views, 2):
         job = Job("pair", EncodedView(views[a].name, b""), EncodedView(views[b].name, b""))
-        alarms.note_depths(site, Done(job, align_pair(views[a], views[b])))
-    alarms.judge_calibrations(site)
+        monitor.note_depths(site, Done(job, align_pair(views[a], views[b])))
+    monitor.judge_calibrations(site)
     return site
 
 
@@ -163,9 +163,9 @@ def test_depths_that_are_older_than_the_image_are_named(skew_s):
             view.name, first.name, np.eye(4), np.eye(6), "verified"
         )
         job = Job("track", EncodedView(first.name, b""), EncodedView(view.name, b""))
-        alarms.note_moment(site, Done(job, result))
-        alarms.judge_calibrations(site)
-    alarms.judge_calibrations(site)
+        monitor.note_moment(site, Done(job, result))
+        monitor.judge_calibrations(site)
+    monitor.judge_calibrations(site)
     if skew_s == 0:
         assert site.alarms == ()
         return

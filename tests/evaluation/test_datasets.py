@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from evaluation.datasets import are_partners, in_ring_order, shared_tracks
-from evaluation.opening import median_depth_m, open_recording, points_of
-from evaluation.rgbd import read_depth
+from evaluation.data.opening import median_depth_m, open_recording, points_of
+from evaluation.data.recording import are_partners, in_ring_order, shared_tracks
+from evaluation.data.rgbd import read_depth
 from protocol.errors import DataFolderError
 from tests.data import shared_data
 from tests.evaluation.makers import K, write_posed_views, write_rgbd

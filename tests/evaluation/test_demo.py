@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.demo import DemoResult, report, run, without_screen
-from evaluation.fleet_scoring import SampleRow
+from evaluation.metrics.fleet_scoring import SampleRow
+from evaluation.system.demo import DemoResult, report, run, without_screen
 from protocol.errors import FleetPoseError
 from protocol.transport import wait_until
 

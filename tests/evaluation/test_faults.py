@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from evaluation.faults import command, inject, late
-from evaluation.faults.command import FaultOptions
-from evaluation.faults.frozen import _longest_gap
-from evaluation.faults.inject import FAULTS, Watch
-from evaluation.faults.troubles import FAULTY, ToldTruth, TwoHalls
+from evaluation.system.faults import command, inject, late
+from evaluation.system.faults.command import FaultOptions
+from evaluation.system.faults.frozen import _longest_gap
+from evaluation.system.faults.inject import FAULTS, Watch
+from evaluation.system.faults.troubles import FAULTY, ToldTruth, TwoHalls
 from protocol.errors import FleetPoseError
 from protocol.messages import Alarm
 

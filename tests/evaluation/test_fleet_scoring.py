@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.fleet_report import latencies
-from evaluation.fleet_scoring import PoseNow, SampleRow, score_sample, summarize_poses
-from evaluation.geometry import inverse
-from evaluation.observer import first_time_located
-from evaluation.scoring import Limits
+from evaluation.metrics.fleet_scoring import PoseNow, SampleRow, score_sample, summarize_poses
+from evaluation.metrics.geometry import inverse
+from evaluation.metrics.scoring import Limits
+from evaluation.system.fleet_report import latencies
+from evaluation.system.observer import first_time_located
 from tests.evaluation.makers import pose, random_pose
 
 NAMES = ("a", "b", "c")

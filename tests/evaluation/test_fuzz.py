@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from evaluation.fuzz import command
-from evaluation.fuzz.state import changes
-from evaluation.fuzz.targets import OPERATOR, targets_of
+from evaluation.system.fuzz import command
+from evaluation.system.fuzz.state import changes
+from evaluation.system.fuzz.targets import OPERATOR, targets_of
 from protocol.codec import encoding_of, pack
 from protocol.keys import Keys
 from protocol.messages import (

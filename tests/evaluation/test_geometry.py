@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg
 from scipy.spatial.transform import Rotation
 
-from evaluation.geometry import (
+from evaluation.metrics.geometry import (
     align_points,
     inverse,
     nearest_rotation,

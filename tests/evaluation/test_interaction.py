@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.geometry import inverse, rigid, transform
-from evaluation.interaction.fleet import connected, solve_ring
-from evaluation.interaction.hand import WRONG_PX, right_clicks, with_wrong, wrong_of
-from evaluation.interaction.ring import RingOptions, run
-from evaluation.interaction.ring_layout import along_path, rings_of
-from evaluation.interaction.ring_report import write_summaries
-from evaluation.interaction.rows import named
-from evaluation.interaction.truth import true_pixels
-from evaluation.interaction.worker import ClickedAnswer, Lifted, timed_icp
-from evaluation.opening import open_recording
-from evaluation.pair_worker import Answer
-from evaluation.pairs_report import POSE_FILE_COLUMNS
+from evaluation.bench.clicks.click_noise import WRONG_PX, right_clicks, with_wrong, wrong_of
+from evaluation.bench.clicks.rows import named
+from evaluation.bench.clicks.truth import true_pixels
+from evaluation.bench.clicks.worker import ClickedAnswer, Lifted, timed_icp
+from evaluation.bench.pairs.report import POSE_FILE_COLUMNS
+from evaluation.bench.pairs.worker import Answer
+from evaluation.bench.ring.command import RingOptions, run
+from evaluation.bench.ring.layout import along_path, rings_of
+from evaluation.bench.ring.report import write_summaries
+from evaluation.bench.ring.solving import connected, solve_ring
+from evaluation.data.opening import open_recording
+from evaluation.metrics.geometry import inverse, rigid, transform
 from pose_server.geometry import icp
-from pose_server.pairs.paper import linear_start
+from pose_server.registration.paper import linear_start
 from protocol.errors import DataFolderError
 from tests.evaluation.makers import pose, rotation, write_posed_views, write_rgbd
 
@@ -226,17 +226,17 @@ def test_a_robot_that_is_not_located_counts_where_its_neighbour_stands(tmp_path,
 
 def test_all_icp_counts_whichever_step_asks_for_it(cloud):
     from pose_server.geometry.icp import dense_cloud
-    from pose_server.pairs import refining, surfaces
+    from pose_server.registration import refinement, surfaces
 
     users = [
         path.name
-        for path in (Path(refining.__file__).parents[1]).rglob("*.py")
+        for path in (Path(refinement.__file__).parents[1]).rglob("*.py")
         if re.search(r"import .*\bgicp\b|small_gicp\.align\b", path.read_text())
     ]
     # it is timed where these two call it
     assert sorted(users) == ["icp.py", "refining.py", "surfaces.py"]
     one = dense_cloud(cloud, 0.1)
-    for module in (refining, surfaces):
+    for module in (refinement, surfaces):
         icp = module.gicp
         with timed_icp() as spent:
             module.gicp(one, one, np.eye(4), 0.1)

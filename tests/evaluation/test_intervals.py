@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evaluation.intervals import share_over_views
-from evaluation.scoring import trimmed_nees_per_dof
+from evaluation.metrics.intervals import share_over_views
+from evaluation.metrics.scoring import trimmed_nees_per_dof
 
 PAIRS = list(itertools.combinations(range(12), 2))
 

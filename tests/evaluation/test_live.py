@@ -6,8 +6,8 @@ import time
 import numpy as np
 import pytest
 
-from evaluation.observer import Observer, SeenView
-from evaluation.operator import SimulatedOperator
+from evaluation.simulate.operator import SimulatedOperator
+from evaluation.system.observer import Observer, SeenView
 from protocol import codec
 from protocol.clouds import SalientPoints, encode_depth, encode_salient
 from protocol.keys import Keys, new_epoch

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.mapping.command import MapOptions, run
-from evaluation.mapping.compare import compared, moved_by_poses
-from evaluation.mapping.memory import peak_memory
-from evaluation.mapping.truth import at_true_poses, true_cloud, world_from_fleet
-from evaluation.opening import open_recording
+from evaluation.bench.mapping.command import MapOptions, run
+from evaluation.bench.mapping.compare import compared, moved_by_poses
+from evaluation.bench.mapping.memory import peak_memory
+from evaluation.bench.mapping.truth import at_true_poses, true_cloud, world_from_fleet
+from evaluation.data.opening import open_recording
 from pose_server.mapping.located import PlacedView
-from pose_server.views import KeptView, open_view
+from pose_server.state.views import KeptView, open_view
 from protocol.codec import pack
 from tests.data import shared_data
 from tests.evaluation.makers import pose, write_posed_views, write_rgbd

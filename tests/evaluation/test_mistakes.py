@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from evaluation.geometry import inverse, transform
-from evaluation.interaction.truth import true_depth, true_pixels, with_contrast
-from evaluation.mistakes import MISTAKES, Sight, mistaken, repeats_by
-from evaluation.opening import open_recording
-from evaluation.operator import by_depth_images, by_hand
+from evaluation.bench.clicks.truth import true_depth, true_pixels, with_contrast
+from evaluation.data.opening import open_recording
+from evaluation.metrics.geometry import inverse, transform
+from evaluation.simulate.mistakes import MISTAKES, Sight, mistaken, repeats_by
+from evaluation.simulate.operator import by_depth_images, by_hand
 from tests.evaluation.makers import HEIGHT, WIDTH, K, pose, write_posed_views
 
 SIZE = (WIDTH, HEIGHT)

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from evaluation.opening import open_recording
-from evaluation.pairs import limited, pairs_of, run
+from evaluation.bench.pairs.command import limited, pairs_of, run
+from evaluation.data.opening import open_recording
 from tests.data import shared_data
 from tests.evaluation.makers import write_posed_views, write_rgbd
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.interaction.clicks import ClicksOptions, interval, pairs_in_range
-from evaluation.interaction.following import POLICIES, Step
-from evaluation.interaction.persist import PersistOptions, run, runs_of, summarize
-from evaluation.interaction.rows import ClickRow
-from evaluation.interaction.walks import Walk
-from evaluation.opening import open_recording
-from evaluation.scoring import Limits
+from evaluation.bench.clicks.command import ClicksOptions, interval, pairs_in_range
+from evaluation.bench.clicks.rows import ClickRow
+from evaluation.bench.persist.command import PersistOptions, run, runs_of, summarize
+from evaluation.bench.persist.following import POLICIES, Step
+from evaluation.bench.persist.walks import Walk
+from evaluation.data.opening import open_recording
+from evaluation.metrics.scoring import Limits
 from protocol.errors import DataFolderError
 from tests.evaluation.makers import write_posed_views, write_rgbd
 

@@ -11,24 +11,24 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from evaluation.datasets import CLOUD_KINDS, shared_tracks
-from evaluation.fleet import FleetOptions, plan_fleet
-from evaluation.geometry import inverse, transform
-from evaluation.interaction.truth import true_depth, true_pixels
-from evaluation.opening import open_recording, points_of
-from evaluation.options import WorldOption
-from evaluation.pair_worker import encode
-from evaluation.questions.play import Task, clicks_in
-from evaluation.scoring import Limits
-from evaluation.strip import strip
-from evaluation.synth import SynthOptions, run
-from evaluation.truth import WorldTruth
-from evaluation.world import PLANS, PlanWorld
-from evaluation.world.planned import plan_named, stations
-from evaluation.world.render import Renderer
-from evaluation.world.robots import HEIGHT, WIDTH
-from evaluation.world.things import unique_things
-from evaluation.world_server import WorldOptions, WorldServer, write_truth
+from evaluation.bench.clicks.truth import true_depth, true_pixels
+from evaluation.bench.pairs.worker import encode
+from evaluation.bench.questions.play import Task, clicks_in
+from evaluation.bench.synth import SynthOptions, run
+from evaluation.cli.options import WorldOption
+from evaluation.data.anonymize import strip
+from evaluation.data.opening import open_recording, points_of
+from evaluation.data.recording import CLOUD_KINDS, shared_tracks
+from evaluation.metrics.geometry import inverse, transform
+from evaluation.metrics.scoring import Limits
+from evaluation.simulate.world import PLANS, PlanWorld
+from evaluation.simulate.world.plans.planned import plan_named, stations
+from evaluation.simulate.world.plans.things import unique_things
+from evaluation.simulate.world.render import Renderer
+from evaluation.simulate.world.robots import HEIGHT, WIDTH
+from evaluation.simulate.world_server import WorldOptions, WorldServer, write_truth
+from evaluation.system.fleet import FleetOptions, plan_fleet
+from evaluation.system.truth import WorldTruth
 from protocol.errors import FleetPoseError
 from robot_agent.cameras.synthetic import mount, open_camera
 

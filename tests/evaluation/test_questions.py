@@ -6,14 +6,14 @@ import json
 import numpy as np
 import pytest
 
-from evaluation.geometry import inverse
-from evaluation.opening import open_recording
-from evaluation.questions import play as playing
-from evaluation.questions.command import QuestionsOptions, run
-from evaluation.questions.play import Played, Run, Task
-from evaluation.questions.policies import POLICIES
-from evaluation.questions.report import mean_with_interval, ratio_interval, summarize
-from evaluation.scoring import Limits
+from evaluation.bench.questions import play as playing
+from evaluation.bench.questions.command import QuestionsOptions, run
+from evaluation.bench.questions.play import Played, Run, Task
+from evaluation.bench.questions.policies import POLICIES
+from evaluation.bench.questions.report import mean_with_interval, ratio_interval, summarize
+from evaluation.data.opening import open_recording
+from evaluation.metrics.geometry import inverse
+from evaluation.metrics.scoring import Limits
 from protocol.errors import DataFolderError
 from tests.evaluation.makers import pose, write_posed_views, write_rgbd
 

@@ -7,10 +7,10 @@ import pytest
 from typer.testing import CliRunner
 
 from evaluation.__main__ import app
-from evaluation.datasets import shared_tracks
-from evaluation.opening import median_depth_m, open_recording, points_of
-from evaluation.reconstructed import in_metres
-from evaluation.strip import strip
+from evaluation.data.anonymize import strip
+from evaluation.data.opening import median_depth_m, open_recording, points_of
+from evaluation.data.reconstructed import in_metres
+from evaluation.data.recording import shared_tracks
 from protocol.errors import DataFolderError
 from tests.evaluation.makers import write_posed_views
 from tests.evaluation.test_strip import assert_no_truth

@@ -7,12 +7,12 @@ import re
 import numpy as np
 import pytest
 
-from evaluation.opening import open_recording
-from evaluation.pair_row import PairRow
-from evaluation.pairs_calls import unsolved
-from evaluation.pairs_plots import plot_all, plot_precision_recall
-from evaluation.pairs_report import summarize, write_results, write_tables
-from evaluation.report import (
+from evaluation.bench.pairs.calls import unsolved
+from evaluation.bench.pairs.plots import plot_all, plot_precision_recall
+from evaluation.bench.pairs.report import summarize, write_results, write_tables
+from evaluation.bench.pairs.row import PairRow
+from evaluation.data.opening import open_recording
+from evaluation.report.output import (
     COVARIANCE_COLUMNS,
     OutputFolderError,
     output_folder,

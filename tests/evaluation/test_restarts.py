@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.fleet_scoring import PoseNow, score_sample
-from evaluation.opening import open_recording
-from evaluation.restarts import RestartsOptions, run, views_of
-from evaluation.restarts_report import scored, summarize, write_results
-from evaluation.scoring import Limits
+from evaluation.data.opening import open_recording
+from evaluation.metrics.fleet_scoring import PoseNow, score_sample
+from evaluation.metrics.scoring import Limits
+from evaluation.system.restarts import RestartsOptions, run, views_of
+from evaluation.system.restarts_report import scored, summarize, write_results
 from pose_server.geometry.se3 import retract
 from protocol.errors import DataFolderError
 from tests.evaluation.makers import write_posed_views, write_rgbd

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from evaluation.geometry import inverse, rigid, transform
-from evaluation.scoring import (
+from evaluation.metrics.geometry import inverse, rigid, transform
+from evaluation.metrics.scoring import (
     CHI2_6_95,
     Limits,
     OverlapCloud,

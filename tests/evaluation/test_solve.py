@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from evaluation.solve import make_up, mean_error_m, read_g2o, run, run_recorded
-from pose_server.fleet.graph import solve_fleet
+from evaluation.bench.solve import make_up, mean_error_m, read_g2o, run, run_recorded
+from pose_server.pose_graph.graph import solve_fleet
 from protocol.errors import DataFolderError, FleetPoseError
 from tests.data import shared_data
 

@@ -1,8 +1,8 @@
 """Reports say whether a place was fitted on."""
 
-from evaluation import splits
-from evaluation.opening import open_recording
-from evaluation.pairs_report import write_results
+from evaluation.bench.pairs.report import write_results
+from evaluation.data import splits
+from evaluation.data.opening import open_recording
 from tests.evaluation.makers import write_posed_views
 
 

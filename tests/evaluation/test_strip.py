@@ -7,8 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from evaluation.opening import open_recording
-from evaluation.strip import noise_model, random_name, strip
+from evaluation.data.anonymize import noise_model, random_name, strip
+from evaluation.data.opening import open_recording
 from protocol.errors import DataFolderError
 from protocol.keys import checked_name
 from protocol.messages import NoiseModel

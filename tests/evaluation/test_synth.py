@@ -5,12 +5,12 @@ import random
 import numpy as np
 import pytest
 
-from evaluation.datasets import CLOUD_KINDS, in_ring_order, shared_tracks
-from evaluation.geometry import transform
-from evaluation.interaction.ring_layout import rings_of
-from evaluation.opening import open_recording, points_of
-from evaluation.strip import noise_model, strip
-from evaluation.synth import SynthOptions, run
+from evaluation.bench.ring.layout import rings_of
+from evaluation.bench.synth import SynthOptions, run
+from evaluation.data.anonymize import noise_model, strip
+from evaluation.data.opening import open_recording, points_of
+from evaluation.data.recording import CLOUD_KINDS, in_ring_order, shared_tracks
+from evaluation.metrics.geometry import transform
 from protocol.errors import FleetPoseError
 from tests.evaluation.test_strip import assert_no_truth
 

@@ -7,13 +7,13 @@ import sys
 import numpy as np
 import pytest
 
-from evaluation.terminal.fingers import Eyes, arrow_keys
-from evaluation.terminal.hmi import HmiOptions
-from evaluation.terminal.hmi import run as run_hmi
-from evaluation.terminal.operate import OperateOptions
-from evaluation.terminal.operate import run as run_operate
-from evaluation.terminal.reading import images_on
-from evaluation.terminal.tmux import Terminal
+from evaluation.system.terminal.fingers import Eyes, arrow_keys
+from evaluation.system.terminal.hmi import HmiOptions
+from evaluation.system.terminal.hmi import run as run_hmi
+from evaluation.system.terminal.operate import OperateOptions
+from evaluation.system.terminal.operate import run as run_operate
+from evaluation.system.terminal.reading import images_on
+from evaluation.system.terminal.tmux import Terminal
 from protocol.errors import FleetPoseError
 from protocol.transport import free_port
 from tests.data import shared_data

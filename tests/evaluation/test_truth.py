@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.observer import SeenView
-from evaluation.truth import WorldTruth
+from evaluation.system.observer import SeenView
+from evaluation.system.truth import WorldTruth
 from tests.evaluation.makers import pose
 from tests.evaluation.test_live import view
 

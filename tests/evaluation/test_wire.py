@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from evaluation import wire
-from evaluation.opening import open_recording
+from evaluation.bench import wire
+from evaluation.data.opening import open_recording
 
 
 @pytest.fixture

@@ -7,12 +7,12 @@ import threading
 import numpy as np
 import pytest
 
-from evaluation.world.ring import RingWorld
-from evaluation.world.robots import HEIGHT, WIDTH
-from evaluation.world_server import WorldServer, write_truth
+from evaluation.simulate.world.ring import RingWorld
+from evaluation.simulate.world.robots import HEIGHT, WIDTH
+from evaluation.simulate.world_server import WorldServer, write_truth
 from protocol.errors import UnreachableError
 from robot_agent.cameras.base import DisparityImage
-from robot_agent.cameras.stereo import StereoMatcher
+from robot_agent.cameras.stereo.matching import StereoMatcher
 from robot_agent.cameras.synthetic import mount, open_camera
 
 

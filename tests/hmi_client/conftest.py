@@ -13,7 +13,7 @@ from hmi_fakes import fleet
 from hmi_server import FakeServer
 from screen_makers import Clock
 
-from hmi_client.session import OperatorSession
+from hmi_client.model.session import OperatorSession
 from protocol.transport import SessionSettings, open_session
 
 
@@ -43,7 +43,7 @@ def serve(router):
 @pytest.fixture
 def client_of(router):
     """Starts clients on the router: `client_of(session)`."""
-    from hmi_client.client import Client
+    from hmi_client.network.client import Client
     from protocol.keys import Keys
     from protocol.transport import Link
 

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from hmi_fakes import view
 
-from hmi_client.model import Picture
-from hmi_client.text.app import FleetApp
+from hmi_client.model.records import Picture
+from hmi_client.tui.app import FleetApp
 
 
 def picture(robot, seq=7, width=640, height=480):

@@ -7,12 +7,11 @@ from hmi_fakes import view, wait_for
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hmi_client.arrivals import opened, picture_in
+from hmi_client.cli.reports import Watcher, sentence
 from hmi_client.errors import PictureError
-from hmi_client.jpeg import MAX_PIXELS, frame_of
-from hmi_client.reports import Watcher, sentence
-from hmi_client.session import OperatorSession
-from protocol.base import Message
+from hmi_client.model.jpeg import MAX_PIXELS, frame_of
+from hmi_client.model.session import OperatorSession
+from hmi_client.network.message_decoder import opened, picture_in
 from protocol.codec import encoding_of, pack
 from protocol.errors import CodecError, FleetPoseError
 from protocol.keys import Keys
@@ -26,6 +25,7 @@ from protocol.messages import (
     RobotPose,
     ServerStatus,
 )
+from protocol.messages.base import Message
 from protocol.transport import Sample
 from tests.hmi_client.conftest import checkered
 from tests.protocol.message_examples import EXAMPLES

@@ -5,9 +5,9 @@ from hmi_fakes import EPOCH, fleet, view
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hmi_client.clearing import SET_S
-from hmi_client.session import OperatorSession
-from pose_server.correspondences.book import Book
+from hmi_client.assist.deferred_clear import SET_S
+from hmi_client.model.session import OperatorSession
+from pose_server.correspondences.store import Book
 from tests.pose_server.correspondence_makers import Memory, lift
 
 PAIR = ("r1", "r2")

@@ -2,8 +2,8 @@
 
 from hmi_fakes import alignment, fleet, pose, view, wait_for
 
-from hmi_client.client import Client
-from hmi_client.session import OperatorSession
+from hmi_client.model.session import OperatorSession
+from hmi_client.network.client import Client
 from protocol.codec import encoding_of, pack
 from protocol.keys import Keys
 from protocol.transport import Link, SessionSettings, open_session

@@ -4,8 +4,8 @@ import pytest
 from hmi_fakes import CAMERA, view, wait_for
 from hmi_server import Journal
 
-from hmi_client.decoding import decoded
-from hmi_client.session import OperatorSession
+from hmi_client.model.picture_decoder import decoded
+from hmi_client.model.session import OperatorSession
 from protocol.codec import pack
 from protocol.drops import MAX_REASONS, OTHER, Drops
 from protocol.errors import UnreachableError
@@ -239,7 +239,7 @@ def test_a_server_that_forgot_the_selection_is_told_again(client_of, serve):
 
 
 def test_selections_are_told_again_and_again(client_of, serve, monkeypatch):
-    monkeypatch.setattr("hmi_client.sender.RETELL_S", 0.3)
+    monkeypatch.setattr("hmi_client.network.sender.RETELL_S", 0.3)
     server, session, _ = ready(client_of, serve)
     both_pictures(session)
     session.toggle_freeze()

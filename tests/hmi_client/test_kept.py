@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from hmi_client.errors import OperatorError
-from hmi_client.kept import KeptUpdates
-from hmi_client.outbox import Outbox
-from hmi_client.session import OperatorSession
+from hmi_client.model.session import OperatorSession
+from hmi_client.network.outbox import Outbox
+from hmi_client.network.update_log import KeptUpdates
 from protocol.codec import pack
 from protocol.messages import Receipts, Rejection, ViewName
 

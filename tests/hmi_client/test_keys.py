@@ -6,12 +6,12 @@ import pytest
 from screen_makers import press, screen, selected, text
 from typer.testing import CliRunner
 
-from hmi_client.commands import app as commands
+from hmi_client.cli.commands import app as commands
 from hmi_client.errors import OperatorError
-from hmi_client.feed import FORGOTTEN_S
-from hmi_client.text.app import FleetApp
-from hmi_client.text.bindings import PLACES, KeyMap
-from hmi_client.text.matrix_panel import WATCHED
+from hmi_client.model.fleet_model import FORGOTTEN_S
+from hmi_client.tui.app import FleetApp
+from hmi_client.tui.bindings import PLACES, KeyMap
+from hmi_client.tui.panels.matrix_panel import WATCHED
 from protocol.messages import Selection
 
 

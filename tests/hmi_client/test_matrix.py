@@ -5,7 +5,7 @@ from hmi_fakes import fleet
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hmi_client.matrix import (
+from hmi_client.model.matrix import (
     BOLD_SHARE,
     HIDDEN,
     QUANTITIES,

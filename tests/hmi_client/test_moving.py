@@ -3,8 +3,8 @@
 import pytest
 from hmi_fakes import EPOCH, fleet, view
 
-from hmi_client.model import Picture
-from hmi_client.session import OperatorSession
+from hmi_client.model.records import Picture
+from hmi_client.model.session import OperatorSession
 from protocol.messages import Correspondence, PairCorrespondences, Receipts, Rejection
 
 A, B = (10.0, 20.0), (30.0, 40.0)

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from hmi_client import commands
-from hmi_client import connection as c
-from hmi_client.text import run as run_module
+from hmi_client.cli import commands
+from hmi_client.cli import connection as c
+from hmi_client.tui import run as run_module
 
 DESK = "tcp/10.0.0.1:7447"
 

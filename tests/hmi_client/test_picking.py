@@ -7,13 +7,13 @@ from hmi_fakes import CAMERA, alignment, fleet, pose, view
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hmi_client import picking
-from hmi_client.depths import Depths
+from hmi_client.assist import picking
+from hmi_client.assist.pick_assist import Guide
 from hmi_client.errors import OperatorError
-from hmi_client.guide import Guide
-from hmi_client.model import Picture
-from hmi_client.session import OperatorSession
-from hmi_client.text.hints import LETTERS, Hints, labels
+from hmi_client.model.depths import Depths
+from hmi_client.model.records import Picture
+from hmi_client.model.session import OperatorSession
+from hmi_client.tui.drawing.hints import LETTERS, Hints, labels
 from protocol.clouds import encode_depth, encode_scattered
 from protocol.messages import Salient, View
 

@@ -8,14 +8,14 @@ import pytest
 from hmi_fakes import NO_DEPTH_U
 from typer.testing import CliRunner
 
-from hmi_client.client import Client
-from hmi_client.commands import app
+from hmi_client.cli.commands import app
 from hmi_client.errors import OperatorError
+from hmi_client.model.session import OperatorSession
+from hmi_client.network.client import Client
 from hmi_client.recording.file import Recorder, Recording
 from hmi_client.recording.link import RecordedLink
 from hmi_client.recording.player import PlayClock, PlayedSession, Player
 from hmi_client.recording.timeline import timeline
-from hmi_client.session import OperatorSession
 from protocol.keys import Keys
 from protocol.transport import Link, Sample, SessionSettings, open_session, wait_until
 

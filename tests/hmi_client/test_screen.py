@@ -4,8 +4,8 @@ import pytest
 from hmi_fakes import fleet, view
 from screen_makers import Clock, press, screen, selected, text
 
-from hmi_client.session import OperatorSession
-from hmi_client.text.app import FleetApp
+from hmi_client.model.session import OperatorSession
+from hmi_client.tui.app import FleetApp
 
 
 @pytest.mark.parametrize("size", [(160, 50), (100, 30), (60, 20)])

@@ -5,9 +5,9 @@ import pytest
 from hmi_fakes import CAMERA, EPOCH, empty_view, fleet, pose, view
 from screen_makers import picture, press, screen, selected, text
 
-from hmi_client.depths import Depths
-from hmi_client.text import palette
-from hmi_client.text.pages import Page
+from hmi_client.model.depths import Depths
+from hmi_client.tui.drawing import palette
+from hmi_client.tui.panels.pages import Page
 from protocol.clouds import encode_depth
 from protocol.messages import Correspondence, PairCorrespondences, Question, Suggestion
 

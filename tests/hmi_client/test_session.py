@@ -3,11 +3,11 @@
 import pytest
 from hmi_fakes import EPOCH, fleet, pose, view
 
+from hmi_client.cli.reports import entries_text
 from hmi_client.errors import OperatorError
-from hmi_client.matrix import THRESHOLD_M, THRESHOLD_SHARE
-from hmi_client.model import Picture, new_events
-from hmi_client.reports import entries_text
-from hmi_client.session import OperatorSession
+from hmi_client.model.matrix import THRESHOLD_M, THRESHOLD_SHARE
+from hmi_client.model.records import Picture, new_events
+from hmi_client.model.session import OperatorSession
 from protocol.messages import Correspondence, PairCorrespondences, Receipts, Rejection
 
 A, B = (10.0, 20.0), (30.0, 40.0)

@@ -9,7 +9,7 @@ from hmi_fakes import EPOCH, fleet, view
 from screen_makers import Clock, press, screen, selected
 from syrupy.extensions.single_file import SingleFileSnapshotExtension, WriteMode
 
-from hmi_client.session import OperatorSession
+from hmi_client.model.session import OperatorSession
 from protocol.messages import (
     Correspondence,
     PairCorrespondences,

@@ -2,10 +2,10 @@
 
 from hmi_fakes import alignment, fleet
 
-from hmi_client.advice import describe_cell
-from hmi_client.reports import Watcher, sentence, status_text
-from hmi_client.session import OperatorSession
-from hmi_client.why import why_record, why_text
+from hmi_client.assist.prompts import describe_cell
+from hmi_client.cli.reports import Watcher, sentence, status_text
+from hmi_client.cli.why import why_record, why_text
+from hmi_client.model.session import OperatorSession
 from protocol.messages import Alarm, PairCell
 
 TEXT = "r6's depths are 5.1 +- 0.4 % too long against 4 partners: check its baseline"

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from evaluation.fleet import open_link
+from evaluation.system.fleet import open_link
 from protocol.codec import encoding_of, pack, unpack
 from protocol.errors import UnreachableError
 from protocol.keys import Keys

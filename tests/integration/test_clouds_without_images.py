@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from deploy.local_fleet import LocalFleet
-from evaluation.fleet import open_link
-from evaluation.observer import Observer
+from evaluation.system.fleet import open_link
+from evaluation.system.observer import Observer
 from pose_server.geometry.se3 import inverse, transform
 from protocol.codec import unpack
 from protocol.errors import UnreachableError

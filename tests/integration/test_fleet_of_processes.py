@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from deploy.local_fleet import LocalFleet
-from evaluation.fleet import open_link, plan_world, start
-from evaluation.observer import Observer
-from pose_server.session.graph_store import read_graph
-from pose_server.session.restoring import GRAPH
+from evaluation.system.fleet import open_link, plan_world, start
+from evaluation.system.observer import Observer
+from pose_server.persistence.graph_store import read_graph
+from pose_server.persistence.restore import GRAPH
 from protocol.codec import unpack
 from protocol.keys import Keys
 from protocol.messages import PairCorrespondences, RobotPose
@@ -168,7 +168,7 @@ def true_clicks(observer: Observer, folder: Path, fleet: LocalFleet) -> list[str
     """Points far apart that both robots see, with a pixel of noise, as the command takes
     them.
     """
-    from evaluation.truth import WorldTruth
+    from evaluation.system.truth import WorldTruth
 
     truth = WorldTruth(folder / "truth", {"r1": "r1", "r2": "r2"})
     views = [observer.view(pose(observer, robot).view) for robot in ("r1", "r2")]

@@ -8,8 +8,8 @@ import sys
 import pytest
 
 from deploy.local_fleet import LocalFleet
-from evaluation.fleet import open_link, plan_world, start, wait_started
-from evaluation.observer import Observer
+from evaluation.system.fleet import open_link, plan_world, start, wait_started
+from evaluation.system.observer import Observer
 from protocol.keys import Keys
 from protocol.transport import wait_until
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from deploy.local_fleet import LocalFleet
-from evaluation.fleet import open_link, plan_world, start_servers
-from evaluation.observer import Observer
+from evaluation.system.fleet import open_link, plan_world, start_servers
+from evaluation.system.observer import Observer
 from protocol.codec import unpack
 from protocol.keys import Keys
 from protocol.messages import Alignment

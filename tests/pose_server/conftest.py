@@ -2,11 +2,11 @@
 
 import pytest
 
-from pose_server.pairs import engine
+from pose_server.workers import run
 
 
 @pytest.fixture(autouse=True)
 def no_views_of_another_test():
-    engine._prepared.clear()
+    run._prepared.clear()
     yield
-    engine._prepared.clear()  # a module's own fixtures are made before this one
+    run._prepared.clear()  # a module's own fixtures are made before this one

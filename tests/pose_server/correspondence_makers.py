@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from pose_server.correspondences.book import Book
 from pose_server.correspondences.records import BookState, Change, JournalError
+from pose_server.correspondences.store import Book
 from protocol.errors import FleetPoseError
 from protocol.messages import OperatorUpdate, ViewName
 

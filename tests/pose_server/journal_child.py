@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pose_server.correspondences.book import Book
 from pose_server.correspondences.journal import Journal
+from pose_server.correspondences.store import Book
 from protocol.messages import OperatorUpdate, ViewName
 from tests.pose_server.correspondence_makers import EPOCH, add, keeps, lift, update, view
 

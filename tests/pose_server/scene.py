@@ -5,7 +5,7 @@ cameras.
 import numpy as np
 import numpy.typing as npt
 
-from pose_server.geometry.observed import Observed
+from pose_server.geometry.features.observed import Observed
 from pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
 from protocol.clouds import SalientPoints, encode_salient, encode_scattered
 from protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel, View, ViewName

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from pose_server import pipeline
-from pose_server.correspondences.book import Book
-from pose_server.fleet.types import Edge
+from pose_server.correspondences.store import Book
 from pose_server.geometry.se3 import inverse
-from pose_server.pairs import agenda
-from pose_server.pairs.agenda import note_promise, pick
-from pose_server.pairs.candidates import LEAST_OVERLAP, by_poses, expected_overlaps, to_compare
-from pose_server.site import Site
-from pose_server.views import open_view
+from pose_server.pose_graph.types import Edge
+from pose_server.scheduling import pair_queue
+from pose_server.scheduling.pair_queue import note_promise, pick
+from pose_server.scheduling.proposals import LEAST_OVERLAP, by_poses, expected_overlaps, to_compare
+from pose_server.state.site import Site
+from pose_server.state.views import open_view
 from protocol.codec import pack
 from tests.pose_server.scene import descriptors, pair_of_views, turned, view, walls
 from tests.pose_server.test_flows import ENCODING, Forgetful, named, site_of
@@ -33,7 +33,7 @@ def strangers(count: int) -> Site:
 def told(site: Site) -> Site:
     """The site once its views were laid beside each other."""
     pipeline.solve(site, 0.0)
-    while agenda.compare_some(site, 0.0):
+    while pair_queue.compare_some(site, 0.0):
         pass
     return site
 
@@ -126,5 +126,5 @@ def test_skipped_pairs_never_wait():
 
 def test_an_empty_site_has_nothing_to_pick():
     site = Site(book=Book(Forgetful()))
-    agenda.appraise(site, 0.0)
-    assert pick(site, 0.0) is None and not agenda.compare_some(site, 0.0)
+    pair_queue.appraise(site, 0.0)
+    assert pick(site, 0.0) is None and not pair_queue.compare_some(site, 0.0)

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from pose_server import following, pipeline
-from pose_server.anchoring import PATIENCE_S, note_anchor
+from pose_server import pipeline
+from pose_server.consistency.anchoring import PATIENCE_S, note_anchor
 from pose_server.correspondences.journal import Journal
-from pose_server.session.graph_store import Graph
-from pose_server.session.restoring import restored_site
-from pose_server.site import Site
+from pose_server.frontend import localization
+from pose_server.persistence.graph_store import Graph
+from pose_server.persistence.restore import restored_site
+from pose_server.state.site import Site
 from protocol.messages import ViewName
 from tests.pose_server.scene import EPOCH
 from tests.pose_server.test_doubts import (
@@ -147,7 +148,7 @@ def test_another_anchor_after_a_restart_raises_the_revision_and_the_same_one_doe
 @pytest.mark.parametrize("covered", [False, True], ids=["walks", "covered"])
 def test_an_old_map_is_not_forgotten_for_what_is_seen_since(monkeypatch, covered):
     """New keyframes are all in another component than the first, or each in one of its own."""
-    monkeypatch.setattr(following, "MOST_KEYFRAMES", 4)
+    monkeypatch.setattr(localization, "MOST_KEYFRAMES", 4)
     site = fleet(("r1", "r2"))
     site.gauge, robot = None, site.robots["r1"]
     (old,) = robot.track.keyframes
@@ -156,5 +157,5 @@ def test_an_old_map_is_not_forgotten_for_what_is_seen_since(monkeypatch, covered
         site.views.keep(replace(site.views[old], name=view))
         root = view if covered else new[0]
         site.solution.nodes[view] = replace(site.solution.nodes[old], root=root)
-        following.new_keyframe(site, robot, view)
+        localization.new_keyframe(site, robot, view)
     assert robot.track.keyframes == [old, *new[-3:]]

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pose_server.awaiting import EarlyUpdates
+from pose_server.app.pending_updates import EarlyUpdates
 from protocol.messages import OperatorUpdate, ViewName
 
 

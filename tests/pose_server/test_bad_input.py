@@ -7,22 +7,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pose_server import pipeline, publish
-from pose_server import site as site_module
+from pose_server import pipeline
+from pose_server.app.event_queue import Inbox, Selected, TokenSeen, Updated
+from pose_server.app.topics import Publishers
+from pose_server.app.view_requests import Fetcher
 from pose_server.correspondences.journal import Journal, JournalError, StoredView
-from pose_server.fetching import Fetcher
-from pose_server.inbox import Inbox, Selected, TokenSeen, Updated
-from pose_server.matrix import pair_cells
-from pose_server.pairs.agenda import compare_some
-from pose_server.pairs.engine import run_job
-from pose_server.publish import Stamp
-from pose_server.publishers import Publishers
-from pose_server.session.graph_store import Graph
-from pose_server.session.restoring import restored_site
+from pose_server.messages import builders
+from pose_server.messages.builders import Stamp
+from pose_server.messages.error_matrix import pair_cells
+from pose_server.persistence.graph_store import Graph
+from pose_server.persistence.restore import restored_site
+from pose_server.scheduling.pair_queue import compare_some
 from pose_server.settings import ServerSettings
-from pose_server.site import MAX_EPOCHS, SiteFullError
-from pose_server.views import open_view
+from pose_server.state import site as site_module
+from pose_server.state.site import MAX_EPOCHS, SiteFullError
+from pose_server.state.views import open_view
 from pose_server.workers.jobs import Done, EncodedView, Job
+from pose_server.workers.run import run_job
 from protocol.clouds import SalientPoints, decode_salient, encode_salient, encode_scattered
 from protocol.codec import encoding_of, pack
 from protocol.drops import Drops
@@ -151,7 +152,7 @@ def test_a_hostile_partner_is_survived_by_server_and_workers(robot, other):
             done = Done(job, None, str(error))
         pipeline.take_result(site, done, 1.0)
     assert jobs or robot == "r1"  # which is not aligned with itself where no pixel moved
-    assert publish.fleet_state(site, ServerSettings(), Stamp(EPOCH, 1.0, 1), 1).robots
+    assert builders.fleet_state(site, ServerSettings(), Stamp(EPOCH, 1.0, 1), 1).robots
 
 
 @pytest.mark.parametrize("stamp_ns", [2**62 - 1, -(2**62) + 1, 0])
@@ -160,14 +161,14 @@ def test_stamps_centuries_off_and_numbers_that_jump_are_published(stamp_ns):
     site = site_of(hostile)
     pipeline.solve(site, 0.0)
     robot = site.robots["r1"]
-    pose = publish.robot_pose(site, robot, ServerSettings(), Stamp(EPOCH, 1.0, 1))
+    pose = builders.robot_pose(site, robot, ServerSettings(), Stamp(EPOCH, 1.0, 1))
     assert pose is not None and pack(pose)
     robot.published = pose
-    assert pack(publish.fleet_state(site, ServerSettings(), Stamp(EPOCH, 1.0, 1), 1))
+    assert pack(builders.fleet_state(site, ServerSettings(), Stamp(EPOCH, 1.0, 1), 1))
 
 
 def test_an_alignment_that_went_astray_is_no_result(monkeypatch):
-    from pose_server.pairs import recipes
+    from pose_server.workers import recipes
     from tests.pose_server.test_flows import result
 
     T = np.eye(4)
@@ -310,7 +311,7 @@ def test_good_messages_reach_the_store(inbox):
 
 
 def test_a_flood_is_counted_instead_of_kept(inbox, monkeypatch):
-    monkeypatch.setattr("pose_server.inbox.MAX_WAITING", 3)
+    monkeypatch.setattr("pose_server.app.event_queue.MAX_WAITING", 3)
     box, store = inbox
     for _ in range(10):
         box._update(Sample(KEYS.updates("op"), pack(UPDATE), encoding_of(OperatorUpdate)))

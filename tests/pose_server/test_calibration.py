@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pose_server import alarms
-from pose_server.calibration.compare import DepthErrors, compare_depths
+from pose_server.calibration import monitor
+from pose_server.calibration.depth_comparison import DepthErrors, compare_depths
 from pose_server.calibration.findings import bend_of, time_offset, wrong_scales
-from pose_server.calibration.memory import KEPT_PER_PAIR, MAX_PARTNERS, Memory, Said
+from pose_server.calibration.history import KEPT_PER_PAIR, MAX_PARTNERS, Memory, Said
 from pose_server.calibration.resection import resection, three_point_poses
-from pose_server.geometry.observed import Observed
+from pose_server.geometry.features.observed import Observed
 from pose_server.geometry.se3 import exp_so3, inverse, rotation_angle
-from pose_server.site import Site
+from pose_server.state.site import Site
 from tests.pose_server.scene import SIZE, K, observed_pair, turned
 from tests.pose_server.test_flows import Forgetful
 
@@ -209,7 +209,7 @@ def site_with(errors: dict[str, object], stereo: bool = True) -> Site:
             i, j = observed_pair(rng, turned(25.0), COUNT)
             i, j = (errors.get(n, lambda v: v)(v) for n, v in ((a, i), (b, j)))  # pyright: ignore
             site.depths.note(a, b, Said(compared(i, j), float("nan"), float("nan")))
-    alarms.judge_calibrations(site)
+    monitor.judge_calibrations(site)
     return site
 
 
@@ -219,7 +219,7 @@ def test_the_alarm_names_the_robot_the_percentage_and_what_to_do():
     text = site.alarms[0].text
     assert text.startswith("r3's depths are ") and "too long against 3 partners" in text
     assert abs(float(text.split()[3]) - 5.0) < 1.0 and "calibrate-check" in text
-    alarms.judge_calibrations(site)
+    monitor.judge_calibrations(site)
     assert site.events == [text]
 
 
@@ -235,5 +235,5 @@ def test_right_calibrations_raise_no_alarm_and_a_new_one_clears_it():
     assert not site_with({}).alarms
     site = site_with({"r3": lambda view: scaled(view, 1.05)})
     site.depths.forget("r3")
-    alarms.judge_calibrations(site)
+    monitor.judge_calibrations(site)
     assert not site.alarms

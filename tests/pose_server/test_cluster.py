@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from distributed import LocalCluster
 
-from pose_server.pairs.cluster import ClusterPool
-from pose_server.pairs.engine import run_job
-from pose_server.pairs.workers import Engine
+from pose_server.workers.dask_pool import ClusterPool
 from pose_server.workers.jobs import Done, EncodedView, Job
+from pose_server.workers.pools import Engine
+from pose_server.workers.run import run_job
 from protocol.codec import pack
 from protocol.errors import UnreachableError
 from protocol.transport import free_port, wait_until
@@ -102,7 +102,7 @@ def test_a_damaged_view_fails_its_job_alone(engine):
 
 
 def test_no_scheduler_is_told_in_a_sentence(monkeypatch):
-    monkeypatch.setattr("pose_server.pairs.cluster.CONNECT_S", 0.5)
+    monkeypatch.setattr("pose_server.workers.dask_pool.CONNECT_S", 0.5)
     with pytest.raises(UnreachableError, match="no Dask scheduler at"):
         ClusterPool(f"tcp://127.0.0.1:{free_port()}")
 

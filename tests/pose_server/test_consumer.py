@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pose_server.fleet.graph import solve_fleet
-from pose_server.fleet.types import Edge
+from pose_server.pose_graph.graph import solve_fleet
+from pose_server.pose_graph.types import Edge
 from tests.pose_server.fleet_makers import edge, position_errors, ring, view
 
 N = 8

@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pose_server import pipeline, publish
+from pose_server import pipeline
 from pose_server.geometry.se3 import inverse, make_pose
-from pose_server.pairs.judging import PairResult
+from pose_server.messages import builders
+from pose_server.registration.verdict.evaluate import PairResult
 from pose_server.settings import ServerSettings
-from pose_server.site import Site
+from pose_server.state.site import Site
 from pose_server.workers.jobs import Done
 from protocol.messages import Odometry, RobotState, View, ViewName
 from tests.pose_server.scene import EPOCH, descriptors, turned, view, walls
@@ -70,16 +71,16 @@ def state_of(site: Site, robot: str, now_s: float) -> RobotState:
     """What is published of a robot at a time."""
     while site.dirty:
         pipeline.solve(site, now_s)
-    stamp = publish.Stamp("0" * 12, now_s, int(1e9 * now_s))
+    stamp = fleet.Stamp("0" * 12, now_s, int(1e9 * now_s))
     for one in site.robots.values():
-        one.published = publish.robot_pose(site, one, SETTINGS, stamp) or one.published
-    state = publish.fleet_state(site, SETTINGS, stamp, 1)
+        one.published = builders.robot_pose(site, one, SETTINGS, stamp) or one.published
+    state = builders.fleet_state(site, SETTINGS, stamp, 1)
     return next(one for one in state.robots if one.robot == robot)
 
 
 def alarms(site: Site) -> set[tuple[str, str]]:
-    stamp = publish.Stamp("0" * 12, 0.0, 0)
-    state = publish.fleet_state(site, SETTINGS, stamp, 1)
+    stamp = fleet.Stamp("0" * 12, 0.0, 0)
+    state = builders.fleet_state(site, SETTINGS, stamp, 1)
     return {(alarm.robot, alarm.kind) for alarm in state.alarms}
 
 

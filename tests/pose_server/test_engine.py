@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pose_server.pairs.workers import MAX_TRIES, Engine, LocalPool
 from pose_server.workers.jobs import Done, EncodedView, Job
+from pose_server.workers.pools import MAX_TRIES, Engine, LocalPool
 from protocol.codec import pack
 from protocol.messages import View, ViewName
 from protocol.transport import wait_until

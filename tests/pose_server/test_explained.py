@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pose_server.pairs.explained import Visible, holes
+from pose_server.registration.verdict.explained import Visible, holes
 
 SIZE = (640.0, 480.0)
 

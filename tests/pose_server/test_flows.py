@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from pose_server import pipeline
-from pose_server.build import read_pairs
-from pose_server.correspondences.book import Book
+from pose_server.app.build import read_pairs
 from pose_server.correspondences.records import BookState, Change
+from pose_server.correspondences.store import Book
+from pose_server.frontend.tracks import Track
 from pose_server.geometry.se3 import inverse
-from pose_server.pairs.agenda import compare_some
-from pose_server.pairs.engine import run_job
-from pose_server.pairs.judging import PairResult
-from pose_server.pairs.tracking import Track
-from pose_server.session.restoring import restore
-from pose_server.site import Site
-from pose_server.views import KEEP_AT_LEAST, ViewStore, open_view, stands_still
+from pose_server.persistence.restore import restore
+from pose_server.registration.verdict.evaluate import PairResult
+from pose_server.scheduling.pair_queue import compare_some
+from pose_server.state.site import Site
+from pose_server.state.views import KEEP_AT_LEAST, ViewStore, open_view, stands_still
 from pose_server.workers.jobs import Done
+from pose_server.workers.run import run_job
 from protocol.codec import encoding_of, pack
 from protocol.errors import CodecError, FleetPoseError
 from protocol.messages import OperatorUpdate, View, ViewName

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pose_server.geometry.errors import DegenerateGeometryError
+from pose_server.geometry.features.matching import one_to_one, ratio_matches
+from pose_server.geometry.features.refine import refine
 from pose_server.geometry.lift import lift_pixel
-from pose_server.geometry.matching import one_to_one, ratio_matches
 from pose_server.geometry.noise import PointNoise
-from pose_server.geometry.refine import refine
 from pose_server.geometry.se3 import (
     adjoint,
     compose_covariance,

@@ -5,9 +5,9 @@ import time
 import numpy as np
 import pytest
 
-from pose_server.fleet.graph import solve_fleet
-from pose_server.fleet.types import SolveSettings
 from pose_server.geometry.se3 import inverse
+from pose_server.pose_graph.graph import solve_fleet
+from pose_server.pose_graph.types import SolveSettings
 from tests.pose_server.fleet_makers import (
     click,
     edge,

@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pose_server.fleet.types import Edge
 from pose_server.geometry.structure import Structure
-from pose_server.session.graph_store import Graph, GraphStore, GraphStoreError, read_graph
-from pose_server.session.keeper import Keeper, stored_graph
+from pose_server.persistence.graph_store import Graph, GraphStore, GraphStoreError, read_graph
+from pose_server.persistence.graph_writer import Keeper, stored_graph
+from pose_server.pose_graph.types import Edge
 from protocol.messages import ViewName
 from protocol.transport import wait_until
 

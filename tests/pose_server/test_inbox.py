@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pose_server import pipeline
-from pose_server.inbox import Inbox, Selected, Updated
+from pose_server.app.event_queue import Inbox, Selected, Updated
 from protocol.codec import encoding_of, pack
 from protocol.drops import Drops
 from protocol.keys import Keys

@@ -13,10 +13,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from pose_server.correspondences.book import Book
 from pose_server.correspondences.journal import Journal, StoredView
 from pose_server.correspondences.records import MAX_REJECTIONS, JournalError
 from pose_server.correspondences.schema import MIGRATIONS
+from pose_server.correspondences.store import Book
 from protocol.messages import ImageHeader
 from tests.pose_server.correspondence_makers import (
     EPOCH,

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from pose_server.correspondences.lifting import Lifter, NoDepthError
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.lift import lift_pixel
-from pose_server.lifting import Lifter, NoDepthError
-from pose_server.pairs.views import point_noise
-from pose_server.views import MIN_POINTS, KeptView, open_view
+from pose_server.registration.prepared_view import point_noise
+from pose_server.state.views import MIN_POINTS, KeptView, open_view
 from protocol.clouds import encode_depth, points_of
 from protocol.codec import pack
 from protocol.messages import View

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from pose_server import pipeline, publish
-from pose_server.frames import position_sigma
-from pose_server.pairs.engine import run_job
-from pose_server.session.restoring import restore
+from pose_server import pipeline
+from pose_server.frontend.frames import position_sigma
+from pose_server.messages import builders
+from pose_server.persistence.restore import restore
 from pose_server.settings import ServerSettings
-from pose_server.site import MAX_HELD_BACK, PINNED_S, Site
+from pose_server.state.site import MAX_HELD_BACK, PINNED_S, Site
 from pose_server.workers.jobs import Done
+from pose_server.workers.run import run_job
 from protocol.errors import CodecError
 from protocol.messages import Selection, ViewName
 from tests.pose_server.scene import EPOCH, descriptors, turned, view, walls
@@ -183,10 +184,10 @@ def told(site: Site, now_s: float):
     """The state of r2 as it is published at a time."""
     while site.dirty:  # once more where an anchor was chosen
         pipeline.solve(site, 0.0)
-    stamp = publish.Stamp("0" * 12, now_s, int(1e9 * now_s))
+    stamp = builders.Stamp("0" * 12, now_s, int(1e9 * now_s))
     for robot in site.robots.values():
-        robot.published = robot.published or publish.robot_pose(site, robot, SETTINGS, stamp)
-    state = publish.fleet_state(site, SETTINGS, stamp, 1)
+        robot.published = robot.published or builders.robot_pose(site, robot, SETTINGS, stamp)
+    state = builders.fleet_state(site, SETTINGS, stamp, 1)
     return next(robot for robot in state.robots if robot.robot == "r2")
 
 

@@ -10,7 +10,6 @@ import pytest
 from scipy.spatial import cKDTree
 
 from pose_server.correspondences.journal import Journal
-from pose_server.fleet.types import Edge
 from pose_server.geometry.icp import has_open3d, open3d
 from pose_server.geometry.noise import PointNoise
 from pose_server.geometry.se3 import inverse, transform
@@ -23,10 +22,11 @@ from pose_server.mapping.ply import write_ply
 from pose_server.mapping.projection import Projection, aslant, from_above
 from pose_server.mapping.raster import dots
 from pose_server.mapping.scene import MapCamera, MapLink, Scene, image_corners
-from pose_server.session.exporting import export
-from pose_server.session.graph_store import Graph, GraphStore
-from pose_server.session.opening import ExportError
-from pose_server.session.restoring import folder_files
+from pose_server.persistence.export import export
+from pose_server.persistence.graph_store import Graph, GraphStore
+from pose_server.persistence.opening import ExportError
+from pose_server.persistence.restore import folder_files
+from pose_server.pose_graph.types import Edge
 from protocol.codec import pack
 from protocol.messages import ROBOT_FROM_CAMERA, View
 from tests.pose_server.scene import SIZE, K, descriptors, turned, view, walls

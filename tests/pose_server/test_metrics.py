@@ -4,8 +4,8 @@ from urllib.request import urlopen
 
 import pytest
 
-from pose_server.metrics import Metrics
-from pose_server.stages import Stages
+from pose_server.app.metrics import Metrics
+from pose_server.app.status import Stages
 from protocol.errors import FleetPoseError
 from protocol.messages import ServerStatus
 from protocol.transport import free_port

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pose_server.calibration.clocks import KEPT_VIEWS, Clocks
-from pose_server.calibration.moments import Moments, moment_offset
-from pose_server.calibration.shift import DepthShift, depth_shift
+from pose_server.calibration.depth_shift import DepthShift, depth_shift
+from pose_server.calibration.time_offset import Moments, moment_offset
 from protocol.messages import ViewName
 
 SIZE = (640, 480)

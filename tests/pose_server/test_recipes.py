@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from pose_server.pairs.paper import align_as_published
-from pose_server.pairs.refining import Start
-from pose_server.pairs.views import prepare_view
+from pose_server.registration.paper import align_as_published
+from pose_server.registration.prepared_view import prepare_view
+from pose_server.registration.refinement import Start
 from tests.pose_server.scene import pair_of_views, turned
 from tests.pose_server.test_starts import POINTS, T_TRUE, clicked
 

@@ -5,11 +5,11 @@ import pytest
 
 from pose_server.geometry import icp
 from pose_server.geometry.se3 import retract
-from pose_server.pairs.align import align_pair
-from pose_server.pairs.pair import RATIO, Pair
-from pose_server.pairs.refining import Candidate, with_icp
-from pose_server.pairs.registering import registered
-from pose_server.pairs.views import prepare_view
+from pose_server.registration.align import align_pair
+from pose_server.registration.pair import RATIO, Pair
+from pose_server.registration.pair_icp import registered
+from pose_server.registration.prepared_view import prepare_view
+from pose_server.registration.refinement import Candidate, with_icp
 from tests.pose_server.scene import pair_of_views, turned
 
 T_TRUE = turned(20)

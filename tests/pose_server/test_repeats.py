@@ -5,12 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from pose_server.correspondences.book import Book
-from pose_server.fleet.types import Edge, EdgeJudgement
+from pose_server.consistency.repetition import believed, note_refuted, note_repetition, repetition
+from pose_server.correspondences.store import Book
 from pose_server.geometry.structure import Structure
-from pose_server.pairs.judging import PairResult
-from pose_server.repeats import believed, note_refuted, note_repetition, repetition
-from pose_server.site import Site
+from pose_server.pose_graph.types import Edge, EdgeJudgement
+from pose_server.registration.verdict.evaluate import PairResult
+from pose_server.state.site import Site
 from protocol.messages import ViewName
 from tests.pose_server.test_telling import EPOCH, Forgetful
 

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from pose_server.geometry.patches import sides_seen
+from pose_server.geometry.features.patches import sides_seen
 from pose_server.geometry.se3 import exp_so3, inverse, make_pose
-from pose_server.pairs.aliases import aliases_of
-from pose_server.pairs.align import align_pair
-from pose_server.pairs.explained import explained
-from pose_server.pairs.judging import PairResult
-from pose_server.pairs.pair import RATIO, Pair
-from pose_server.pairs.rivals import rivals_of, unique_points
-from pose_server.pairs.views import PreparedView, prepare_view
+from pose_server.registration.align import align_pair
+from pose_server.registration.pair import RATIO, Pair
+from pose_server.registration.prepared_view import PreparedView, prepare_view
+from pose_server.registration.verdict.aliases import aliases_of
+from pose_server.registration.verdict.evaluate import PairResult
+from pose_server.registration.verdict.explained import explained
+from pose_server.registration.verdict.rivals import rivals_of, unique_points
 from tests.pose_server.scene import K, descriptors, turned, view
 
 PERIOD_M = 2.0

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pose_server.pairs.schedule import Turns
+from pose_server.scheduling.weighted_round_robin import Turns
 
 weights = st.dictionaries(st.integers(0, 200), st.floats(0.05, 20.0), min_size=1, max_size=30)
 PICKS = 1000

@@ -9,17 +9,17 @@ from pose_server.geometry import dlt
 from pose_server.geometry.errors import DegenerateGeometryError
 from pose_server.geometry.gravity import Gravity
 from pose_server.geometry.se3 import inverse, retract, rotation_angle, transform
-from pose_server.pairs.align import align_pair
-from pose_server.pairs.clicked import with_clicks
-from pose_server.pairs.judging import PairResult
-from pose_server.pairs.refining import Start
-from pose_server.pairs.starts import (
+from pose_server.registration.align import align_pair
+from pose_server.registration.clicked import with_clicks
+from pose_server.registration.operator_starts import (
     Clicks,
     OperatorStart,
     operator_starts,
     starts_from_clicks,
 )
-from pose_server.pairs.views import prepare_view
+from pose_server.registration.prepared_view import prepare_view
+from pose_server.registration.refinement import Start
+from pose_server.registration.verdict.evaluate import PairResult
 from tests.pose_server.scene import pair_of_views, turned
 
 T_TRUE = turned(50)

@@ -3,12 +3,12 @@
 import numpy as np
 
 from pose_server.geometry.se3 import inverse
-from pose_server.pairs.align import align_pair
-from pose_server.pairs.byproducts import with_suggestions
-from pose_server.pairs.judging import PairResult
-from pose_server.pairs.pair import RATIO, Pair
-from pose_server.pairs.suggesting import MOST, suggested
-from pose_server.pairs.views import prepare_view
+from pose_server.registration.align import align_pair
+from pose_server.registration.diagnostics import with_suggestions
+from pose_server.registration.pair import RATIO, Pair
+from pose_server.registration.prepared_view import prepare_view
+from pose_server.registration.suggested_points import MOST, suggested
+from pose_server.registration.verdict.evaluate import PairResult
 from tests.pose_server.scene import K, pair_of_views, turned
 
 

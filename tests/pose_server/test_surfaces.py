@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
-from pose_server.pairs.align import align_from, align_pair, is_settled
-from pose_server.pairs.clicked import with_clicks
-from pose_server.pairs.refining import Start
-from pose_server.pairs.starts import Clicks, operator_starts
-from pose_server.pairs.views import PreparedView, prepare_view
+from pose_server.registration.align import align_from, align_pair, is_settled
+from pose_server.registration.clicked import with_clicks
+from pose_server.registration.operator_starts import Clicks, operator_starts
+from pose_server.registration.prepared_view import PreparedView, prepare_view
+from pose_server.registration.refinement import Start
 from protocol.clouds import SalientPoints, encode_salient, encode_scattered
 from protocol.errors import CodecError
 from protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel, View, ViewName

@@ -9,17 +9,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pose_server import answers, pipeline, publish, telling
-from pose_server.correspondences.book import Book
-from pose_server.fleet.types import EdgeJudgement
-from pose_server.frames import position_sigma
+from pose_server import pipeline
+from pose_server.app import publisher, queries
+from pose_server.app.publisher import LONGEST_PAUSE_S, Teller, pause_s
+from pose_server.correspondences.store import Book
+from pose_server.frontend.frames import position_sigma
 from pose_server.geometry.se3 import hat
-from pose_server.matrix import pair_cells
-from pose_server.pairs.judging import PairResult
-from pose_server.relations import p_grave_of, relative_pose
+from pose_server.messages import builders
+from pose_server.messages.error_matrix import pair_cells
+from pose_server.messages.relative_pose import p_grave_of, relative_pose
+from pose_server.pose_graph.types import EdgeJudgement
+from pose_server.registration.verdict.evaluate import PairResult
 from pose_server.settings import ServerSettings
-from pose_server.site import Site
-from pose_server.telling import LONGEST_PAUSE_S, Teller, pause_s
+from pose_server.state.site import Site
 from pose_server.workers.jobs import Done
 from protocol.codec import unpack
 from protocol.keys import Keys
@@ -96,7 +98,7 @@ def test_whatever_was_tried_before_the_last_try_alone_is_shown_with_its_age(two,
         now_s += pause
         aligned(two, result, now_s, "no worker")
     cell, last = cell_of(two, now_s + 7.5), tried[-1][0]
-    (error,) = publish._errors(two, two.robots["r1"])
+    (error,) = builders._errors(two, two.robots["r1"])
     assert cell.state == "tried" and cell.age_s == 7.0
     assert (error.other, error.rmse_m, error.verdict) == ("r2", cell.rmse_m, cell.verdict)
     if last is None:
@@ -120,7 +122,7 @@ def test_the_graph_goes_on_with_the_best_older_edge_when_the_last_try_fails():
 def test_a_failed_alignment_is_told_as_rejected_with_the_reason():
     site = fleet_of_two()
     aligned(site, None, 5.0, "its worker died")
-    told = publish.alignment(*JOB_VIEWS, site.pair("r1", "r2").last, STAMP(5.0), 1)
+    told = builders.alignment(*JOB_VIEWS, site.pair("r1", "r2").last, STAMP(5.0), 1)
     assert told.verdict == "rejected" and told.T_i_j is None
     assert told.reasons == ("the alignment failed: its worker died",)
 
@@ -128,13 +130,13 @@ def test_a_failed_alignment_is_told_as_rejected_with_the_reason():
 # ---- one robot seen from another -----------------------------------------------------------------
 
 
-def STAMP(now_s: float) -> publish.Stamp:
-    return publish.Stamp("0" * 12, now_s, int(1e9 * now_s))
+def STAMP(now_s: float) -> builders.Stamp:
+    return builders.Stamp("0" * 12, now_s, int(1e9 * now_s))
 
 
 def published(site: Site, now_s: float) -> Site:
     for robot in site.robots.values():
-        robot.published = publish.robot_pose(site, robot, SETTINGS, STAMP(now_s))
+        robot.published = builders.robot_pose(site, robot, SETTINGS, STAMP(now_s))
     return site
 
 
@@ -195,11 +197,11 @@ def test_who_cannot_be_told_of_is_an_error_with_the_reason():
     site = site_of()
     pipeline.receive_token(site, "r1", EPOCH, True)
     asked = {"from": "r1", "to": "r9"}
-    assert "no robot 'r9' is known; known are: r1" in answers.relative(site, SETTINGS, asked).error
+    assert "no robot 'r9' is known; known are: r1" in queries.relative(site, SETTINGS, asked).error
     pipeline.receive_token(site, "r9", EPOCH, True)
-    assert "has no aligned view yet" in answers.relative(site, SETTINGS, asked).error
-    assert "ask as" in answers.relative(site, SETTINGS, {}).error
-    assert "ask as" in answers.why(site, SETTINGS, {}).error
+    assert "has no aligned view yet" in queries.relative(site, SETTINGS, asked).error
+    assert "ask as" in queries.relative(site, SETTINGS, {}).error
+    assert "ask as" in queries.why(site, SETTINGS, {}).error
 
 
 @given(chances=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=6))
@@ -232,9 +234,9 @@ def test_a_way_is_at_least_as_doubtful_as_each_link_and_no_more_than_all_togethe
 @pytest.mark.parametrize("now_s", [1.0, 60.0])
 def test_a_robot_is_told_the_operators_words(now_s):
     site = published(fleet_of_two(), now_s)
-    state = publish.fleet_state(site, SETTINGS, STAMP(now_s), 1)
+    state = builders.fleet_state(site, SETTINGS, STAMP(now_s), 1)
     for robot in state.robots:
-        answer = answers._answer(publish.why_not(site, robot.robot, SETTINGS, now_s))
+        answer = queries._answer(builders.why_not(site, robot.robot, SETTINGS, now_s))
         told = unpack(WhyNot, answer.payload, answer.encoding)
         assert told.why_not == robot.why_not and told.located == (not robot.why_not)
         assert robot.pose.why_not == robot.why_not
@@ -245,7 +247,7 @@ def teller_of(site: Site, monkeypatch) -> tuple[Teller, list[RobotPose], list[fl
     """A teller whose clock is the test's."""
     heard: list[RobotPose] = []
     clock = [1.0]
-    monkeypatch.setattr(telling.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(publisher.time, "monotonic", lambda: clock[0])
 
     def put(_: str, message: object) -> None:
         if isinstance(message, RobotPose):

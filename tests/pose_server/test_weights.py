@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pose_server import pipeline
-from pose_server.correspondences.book import Book
-from pose_server.pairs.agenda import note_promise, pick
-from pose_server.pairs.judging import PairResult
-from pose_server.pairs.weights import live_clicks, pair_weight
+from pose_server.correspondences.store import Book
+from pose_server.registration.verdict.evaluate import PairResult
+from pose_server.scheduling.pair_queue import note_promise, pick
 from pose_server.scheduling.settings import Weights
-from pose_server.site import Site
+from pose_server.scheduling.weights import live_clicks, pair_weight
 from pose_server.state.pairs import PairRecord
+from pose_server.state.site import Site
 from tests.pose_server.scene import turned
 from tests.pose_server.test_flows import (
     Forgetful,

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from pose_server import pipeline, widening
-from pose_server.pairs import agenda
-from pose_server.pairs.engine import run_job
-from pose_server.site import Site
+from pose_server import pipeline
+from pose_server.scheduling import affine_retries, pair_queue
+from pose_server.state.site import Site
 from pose_server.workers.jobs import Done
+from pose_server.workers.run import run_job
 from protocol.codec import pack
 from tests.pose_server.scene import descriptors, inverse, pair_of_views, turned, view, walls
 from tests.pose_server.test_flows import named, site_of, work_off
@@ -41,30 +41,30 @@ def wide() -> list[bytes]:
 def test_an_open_pair_is_aligned_once_both_robots_have_answered(site, wide):
     assert work_off(site) == ["pair"]
     assert site.relative(*BOTH) is None
-    assert sorted(map(str, widening.wanted(site))) == sorted(map(str, BOTH))
-    assert widening.wanted(site) == []  # they are asked already
-    widening.receive(site, BOTH[0], wide[0])
+    assert sorted(map(str, affine_retries.wanted(site))) == sorted(map(str, BOTH))
+    assert affine_retries.wanted(site) == []  # they are asked already
+    affine_retries.receive(site, BOTH[0], wide[0])
     assert work_off(site) == []
-    widening.receive(site, BOTH[1], wide[1])
+    affine_retries.receive(site, BOTH[1], wide[1])
     assert work_off(site) == ["pair"]
     T = site.relative(*BOTH)
     assert T is not None and np.linalg.norm(T[:3, 3] - T_TRUE[:3, 3]) < 0.1
-    assert widening.wanted(site) == [] and not site.widening.waiting
+    assert affine_retries.wanted(site) == [] and not site.widening.waiting
 
 
 def test_a_pair_whose_robot_has_no_wide_set_is_given_up(site, wide):
     work_off(site)
-    widening.wanted(site)
-    widening.receive(site, BOTH[0], wide[0])
-    widening.receive(site, BOTH[1], None)
+    affine_retries.wanted(site)
+    affine_retries.receive(site, BOTH[0], wide[0])
+    affine_retries.receive(site, BOTH[1], None)
     assert not site.widening.waiting and work_off(site) == []
     pipeline.take_result(site, Done(job := _again(site), run_job(job)), 1.0)
-    assert widening.wanted(site) == []
+    assert affine_retries.wanted(site) == []
 
 
 def _again(site: Site):
     site.pair("r1", "r2").untried[BOTH[0], BOTH[1]] = 1.0
-    agenda.file(site, ("r1", "r2"), 1.0)
+    pair_queue.file(site, ("r1", "r2"), 1.0)
     job = pipeline.next_job(site, 1.0)
     assert job is not None
     return job
@@ -73,7 +73,7 @@ def _again(site: Site):
 def test_what_is_settled_asks_for_nothing():
     site = site_of(*pair_of_views(np.random.default_rng(3), T_TRUE))
     work_off(site)
-    assert widening.wanted(site) == [] and site.counts.get("wide_alignments", 0) == 0
+    assert affine_retries.wanted(site) == [] and site.counts.get("wide_alignments", 0) == 0
 
 
 def test_views_that_never_align_are_not_tried_for_ever(site, wide):
@@ -84,6 +84,6 @@ def test_views_that_never_align_are_not_tried_for_ever(site, wide):
 
 
 def test_sets_are_bounded(site, wide):
-    for seq in range(widening.MOST_SETS + 10):
-        widening.receive(site, named(seq, "r1"), wide[0])
-    assert len(site.widening.sets) == widening.MOST_SETS
+    for seq in range(affine_retries.MOST_SETS + 10):
+        affine_retries.receive(site, named(seq, "r1"), wide[0])
+    assert len(site.widening.sets) == affine_retries.MOST_SETS

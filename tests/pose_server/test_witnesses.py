@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from pose_server.fleet import report
-from pose_server.fleet.graph import solve_fleet
-from pose_server.fleet.witnesses import all_grave, independent, some_grave
 from pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
 from pose_server.geometry.structure import Structure
+from pose_server.pose_graph import report
+from pose_server.pose_graph.graph import solve_fleet
+from pose_server.pose_graph.witnesses import all_grave, independent, some_grave
 from tests.pose_server.fleet_makers import edge, exp_se3, ring, thing, view
 
 NODES = [view(f"r{k}") for k in range(8)]

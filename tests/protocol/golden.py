@@ -7,7 +7,7 @@ is never written again: other bytes are another version, and need another name.
 from pathlib import Path
 
 from protocol import codec
-from protocol.base import Message
+from protocol.messages.base import Message
 from tests.protocol.message_examples import EXAMPLES
 
 FOLDER = Path(__file__).parent / "golden"

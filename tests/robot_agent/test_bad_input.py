@@ -15,7 +15,7 @@ from protocol.keys import Keys
 from protocol.messages import RelativePose, RobotPose
 from protocol.transport import Answer, Sample, wait_until
 from robot_agent import poses as poses_module
-from robot_agent.cameras.rig import content_of, rig_of
+from robot_agent.cameras.stereo.rig import content_of, rig_of
 from robot_agent.client import FleetRobot
 from robot_agent.poses import PoseBoard
 from robot_agent.settings import RobotSettings

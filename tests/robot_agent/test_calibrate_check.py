@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from evaluation.stereo_video import lens_rig, shot_through_lenses
-from evaluation.world.render import Quad, Renderer
-from evaluation.world.textures import noise
-from robot_agent.cameras.pairs import ImagePair
-from robot_agent.cameras.rectify import Rectifier
-from robot_agent.cameras.rig import content_of
+from evaluation.simulate.stereo_video import lens_rig, shot_through_lenses
+from evaluation.simulate.world.materials.textures import noise
+from evaluation.simulate.world.render import Quad, Renderer
+from robot_agent.cameras.stereo.pairs import ImagePair
+from robot_agent.cameras.stereo.rectify import Rectifier
+from robot_agent.cameras.stereo.rig import content_of
 from robot_agent.checking.command import known_length
 from robot_agent.checking.findings import judged, parts_of, rig_findings
 from robot_agent.checking.fit import fit_rig

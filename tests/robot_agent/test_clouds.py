@@ -9,11 +9,11 @@ from protocol.clouds import points_of
 from protocol.errors import DataFolderError
 from protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel, ViewName
 from robot_agent.cameras.base import DepthImage, ScatteredPoints
-from robot_agent.cameras.cloud import FIELD_DEG, frame_of, open_camera
-from robot_agent.cameras.cloud_files import read_points
-from robot_agent.drawing import picture_of
-from robot_agent.packing import view_of
-from robot_agent.salient import salient_of
+from robot_agent.cameras.folders.cloud import FIELD_DEG, frame_of, open_camera
+from robot_agent.cameras.folders.cloud_files import read_points
+from robot_agent.features.depth_picture import picture_of
+from robot_agent.features.keypoints import salient_of
+from robot_agent.features.packing import view_of
 
 EPOCH = "0" * 12
 

@@ -4,9 +4,9 @@ import numpy as np
 
 from robot_agent.cameras.base import DepthImage, Frame
 from robot_agent.cameras.frozen import LEAST_REPEATS, Repeats
-from robot_agent.cameras.pairs import PairStream, open_pairs
-from robot_agent.cameras.stereo import StereoCamera
-from robot_agent.cameras.video import DevicePlayer, VideoSettings
+from robot_agent.cameras.stereo.matching import StereoCamera
+from robot_agent.cameras.stereo.pairs import PairStream, open_pairs
+from robot_agent.cameras.stereo.video import DevicePlayer, VideoSettings
 from tests.robot_agent.test_client import DEPTH, IMAGE, MODEL
 from tests.robot_agent.video_makers import Device, write_video
 

@@ -5,7 +5,7 @@ import pytest
 
 from protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel
 from robot_agent.cameras.base import DepthImage, DisparityImage, ScatteredPoints
-from robot_agent.lifting import lift_points, sigma_of
+from robot_agent.features.inverse_depth import lift_points, sigma_of
 
 WIDTH, HEIGHT = 160, 120
 K = np.array([[300.0, 0.0, 80.0], [0.0, 300.0, 60.0], [0.0, 0.0, 1.0]])

@@ -5,7 +5,7 @@ import numpy as np
 from protocol.clouds import decode_scattered
 from protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel, ScatteredCloud
 from robot_agent.cameras.base import ScatteredPoints
-from robot_agent.packing import cloud_of
+from robot_agent.features.packing import cloud_of
 
 MODEL = Camera(
     width=64,

@@ -6,7 +6,7 @@ import pytest
 
 from protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel
 from robot_agent.cameras.base import DepthImage
-from robot_agent.salient import ROOTSIFT_SCALE, root_sift, salient_points
+from robot_agent.features.keypoints import ROOTSIFT_SCALE, root_sift, salient_points
 
 MODEL = Camera(
     width=320,

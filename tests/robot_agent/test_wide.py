@@ -8,10 +8,10 @@ from protocol.clouds import decode_salient
 from protocol.codec import unpack
 from protocol.messages import KeptView, ViewName
 from robot_agent.cameras.base import DepthImage, Frame
-from robot_agent.kept import KeptViews, kept_view
-from robot_agent.packing import view_of
-from robot_agent.salient import detect, grey_of, salient_points
-from robot_agent.wide import DIRECTIONS_DEG, tilted, wide_view
+from robot_agent.features.affine_keypoints import DIRECTIONS_DEG, tilted, wide_view
+from robot_agent.features.keypoints import detect, grey_of, salient_points
+from robot_agent.features.packing import view_of
+from robot_agent.recent_views import KeptViews, kept_view
 from tests.robot_agent.test_salient import MODEL
 
 EPOCH = "a" * 12
@@ -65,7 +65,9 @@ def test_a_robot_answers_with_the_wide_set_and_makes_it_once(kept, monkeypatch):
     wide = unpack(KeptView, answer.payload, answer.encoding)
     assert wide.view.name == kept.view.name and wide.jpeg is None
     assert wide.view.salient.count > kept.view.salient.count
-    monkeypatch.setattr("robot_agent.kept.wide_view", lambda kept: pytest.fail("made again"))
+    monkeypatch.setattr(
+        "robot_agent.recent_views.wide_view", lambda kept: pytest.fail("made again")
+    )
     assert views.answer({"seq": "7", "salient": "wide"}).payload == answer.payload
 
 

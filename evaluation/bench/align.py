@@ -1,0 +1,207 @@
+"""`pose-eval align`: pair alignment beside the usual pipelines, on the same pairs in one run.
+
+All methods get the bytes that the robots sent. Each pair is given to one method after the other, so
+that whatever else the machine does meets all of them.
+"""
+
+import os
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from evaluation.bench.align_worker import Timed, align_ours, align_peers, missing_peers
+from evaluation.bench.baselines import PEERS, VOXEL_M
+from evaluation.bench.pairs.command import as_done, limited, on_the_wire, pairs_of
+from evaluation.bench.pairs.worker import true_overlap, use_one_thread
+from evaluation.data.opening import median_depth_m, open_recording
+from evaluation.data.recording import CloudKind, Recording, TrueView, shared_tracks
+from evaluation.metrics.geometry import Floats, inverse
+from evaluation.metrics.scoring import (
+    Limits,
+    percentile,
+    position_error_m,
+    rotation_error_deg,
+    share,
+)
+from evaluation.report.output import (
+    output_folder,
+    print_table,
+    progress_bar,
+    write_csv,
+    write_summary,
+)
+from protocol.errors import DataFolderError
+
+OURS = "fleetpose"
+MIN_SHARED = 30
+RECALL_M, RECALL_DEG = 0.3, 15.0
+STRICT_M, STRICT_DEG = 0.05, 2.0
+VOXEL_PER_DEPTH = 0.025  # 5 cm in a room
+COLUMNS = ("method", "pairs", "recall", "strict_recall", "pair_ms_median", "whole_ms_median")
+
+
+@dataclass(frozen=True)
+class Bars:
+    """What counts as found: errors below these, metres and degrees."""
+
+    recall_m: float
+    recall_deg: float
+    strict_m: float
+    strict_deg: float
+
+    @classmethod
+    def of(cls, median_depth_m: float, rgbd: bool) -> "Bars":
+        """RGB-D: 0.3 m and 15 deg, strictly 5 cm and 2 deg; posed views: not grave, strictly ok."""
+        if rgbd:
+            return cls(RECALL_M, RECALL_DEG, STRICT_M, STRICT_DEG)
+        limits = Limits.of(median_depth_m, rgbd)
+        return cls(limits.grave_m, limits.grave_deg, limits.ok_m, limits.ok_deg)
+
+
+def run(
+    data: Path,
+    clouds: CloudKind | None,
+    out: Path,
+    workers: int = 1,
+    limit: int | None = None,
+    min_overlap: float = 0.3,
+) -> dict[str, Any]:
+    """Aligns pairs by every method that can be loaded; writes align.csv and summary.json; returns
+    the summary.
+
+    Args:
+        data: a posed-views or RGB-D folder.
+        clouds: kind of clouds, for posed views.
+        out: folder for the results.
+        workers: pairs at a time; with more than one, they share the machine and times say less.
+        limit: take that many pairs only, chosen evenly.
+        min_overlap: RGB-D pairs that overlap less are left out; posed views need 30 shared tracks.
+
+    Raises:
+        FleetPoseError: the data cannot be used, or the folder not made.
+    """
+    recording = open_recording(data, clouds)
+    output_folder(out)
+    median_m = median_depth_m(recording)
+    voxel_m = VOXEL_M if recording.is_rgbd else VOXEL_PER_DEPTH * median_m
+    with (
+        tempfile.TemporaryDirectory(prefix="fleetpose-") as folder,
+        ProcessPoolExecutor(workers, get_context("spawn"), use_one_thread) as ours,
+        # Peers may use all cores, as they do out of the box.
+        ProcessPoolExecutor(workers, get_context("spawn")) as theirs,
+        progress_bar() as progress,
+    ):
+        pairs = limited(_alignable(recording, min_overlap, ours, progress), limit)
+        views = {view.index: view for pair in pairs for view in pair}
+        wires, robot_ms = on_the_wire(recording, [*views.values()], Path(folder), ours, progress)
+        robot_ms_of = dict(zip(views, robot_ms, strict=True))
+        missing = theirs.submit(missing_peers).result()
+        for name, reason in missing.items():
+            progress.console.print(f"without {name}: {reason}")
+        peers = [peer.name for peer in PEERS if peer.name not in missing]
+        task = progress.add_task("pairs", total=len(pairs))
+
+        def by_all(pair: tuple[TrueView, TrueView]) -> dict[str, Timed]:
+            i, j = (view.index for view in pair)
+            own = ours.submit(align_ours, wires[i], wires[j]).result()
+            whole_ms = own.whole_ms + robot_ms_of[i] + robot_ms_of[j]
+            rest = theirs.submit(align_peers, wires[i], wires[j], VOXEL_M / voxel_m, peers).result()
+            progress.advance(task)
+            return {OURS: replace(own, whole_ms=whole_ms), **rest}
+
+        with ThreadPoolExecutor(workers) as at_once:
+            answers = list(at_once.map(by_all, pairs))
+    bars = Bars.of(median_m, recording.is_rgbd)
+    truths = [_T_i_j(i, j) for i, j in pairs]
+    rows = [
+        score(name, truths, [answer[name] for answer in answers], bars) for name in (OURS, *peers)
+    ]
+    write_csv(out / "align.csv", COLUMNS, rows)
+    chosen = {"min_overlap": min_overlap} if recording.is_rgbd else {"min_shared": MIN_SHARED}
+    summary = {
+        "median_depth_m": median_m,
+        "pairs": len(pairs),
+        **chosen,
+        **asdict(bars),
+        "voxel_m": voxel_m,
+        "workers": workers,
+        "load_average": os.getloadavg()[0],  # well above the workers: others share the cores
+        "methods": {row["method"]: row for row in rows},
+        # At the scale where a voxel is 5 cm.
+        "settings": {peer.name: peer.settings for peer in PEERS},
+        "missing": missing,
+    }
+    write_summary(out, summary)
+    _print(summary)
+    return summary
+
+
+def score(
+    method: str, truths: Sequence[Floats], answers: Sequence[Timed], bars: Bars
+) -> dict[str, Any]:
+    """A method's shares of all pairs, answered or not, and its median times."""
+    errors = [
+        (position_error_m(truth, answer.T_i_j), rotation_error_deg(truth, answer.T_i_j))
+        if answer.T_i_j is not None
+        else (float("inf"), float("inf"))
+        for truth, answer in zip(truths, answers, strict=True)
+    ]
+    return {
+        "method": method,
+        "pairs": len(errors),
+        "recall": share(m < bars.recall_m and deg < bars.recall_deg for m, deg in errors),
+        "strict_recall": share(m < bars.strict_m and deg < bars.strict_deg for m, deg in errors),
+        "pair_ms_median": percentile([answer.pair_ms for answer in answers], 50),
+        "whole_ms_median": percentile([answer.whole_ms for answer in answers], 50),
+        "pair_cpu_ms_median": percentile([answer.pair_cpu_ms for answer in answers], 50),
+    }
+
+
+def _alignable(
+    recording: Recording, min_overlap: float, pool: ProcessPoolExecutor, progress: Any
+) -> list[tuple[TrueView, TrueView]]:
+    """The pairs that see enough of the same: by overlap (RGB-D), or by shared tracks."""
+    pairs = pairs_of(recording)
+    if recording.is_rgbd:
+        task = progress.add_task("overlap", total=len(pairs))
+        jobs = ((n, (true_overlap, i, j, _T_i_j(i, j))) for n, (i, j) in enumerate(pairs))
+        enough = set()
+        for n, overlap in as_done(pool, jobs, in_flight=8):
+            if overlap >= min_overlap:
+                enough.add(n)
+            progress.advance(task)
+        chosen = [pair for n, pair in enumerate(pairs) if n in enough]
+    else:
+        chosen = [p for p in pairs if (shared_tracks(recording, *p) or 0) >= MIN_SHARED]
+    if not chosen:
+        raise DataFolderError(f"no pair of {recording.directory} sees enough of the same")
+    return chosen
+
+
+def _T_i_j(i: TrueView, j: TrueView) -> Floats:
+    """The truth."""
+    return inverse(i.T_world_camera) @ j.T_world_camera
+
+
+def _print(summary: dict[str, Any]) -> None:
+    print_table(
+        f"pairs with at least {summary['min_overlap']:g} overlap"
+        if "min_overlap" in summary
+        else f"pairs with at least {summary['min_shared']} shared tracks",
+        ("method", "pairs", "recall", "strict", "pair ms", "whole ms", "pair cpu ms"),
+        [
+            [row[column] for column in (*COLUMNS, "pair_cpu_ms_median")]
+            for row in summary["methods"].values()
+        ],
+    )
+    print(
+        "recall: below {recall_m:.3g} m and {recall_deg:g} deg; "
+        "strict: below {strict_m:.3g} m and {strict_deg:g} deg".format_map(summary)
+    )
+    print(f"peers at a voxel of {summary['voxel_m']:.3g} m; with the scene scaled to 5 cm a voxel:")
+    for name, settings in summary["settings"].items():
+        print(f"  {name}: {settings}")

@@ -1,0 +1,153 @@
+"""A pose server without network: the server's own site, jobs and solver, all in this process."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from evaluation.bench.clicks.worker import kept
+from evaluation.bench.pairs.worker import of_wide, widen
+from evaluation.metrics.geometry import Floats
+from pose_server import pipeline
+from pose_server.calibration import monitor
+from pose_server.correspondences.records import BookState, Change
+from pose_server.correspondences.store import Book
+from pose_server.messages.builders import Stamp, robot_pose, why_not_located
+from pose_server.scheduling import affine_retries
+from pose_server.scheduling.pair_queue import compare_some
+from pose_server.settings import ServerSettings
+from pose_server.state.site import Site
+from pose_server.workers.jobs import Done, Job
+from pose_server.workers.run import run_job
+from protocol.errors import FleetPoseError
+from protocol.messages import RobotPose, ViewName
+
+if TYPE_CHECKING:
+    from pose_server.registration.verdict.evaluate import PairResult
+    from pose_server.state.views import KeptView
+
+SESSION = "0" * 12
+Aligner = Callable[[Job], "PairResult"]
+
+
+class _InMemory:
+    """A recorder that keeps nothing beyond the run."""
+
+    def load(self) -> BookState:
+        return BookState()
+
+    def record(self, change: Change) -> None:
+        pass
+
+
+class OfflineServer:
+    """The server of a still fleet of which each robot has sent one view.
+
+    Time stands still, so that nobody grows old while jobs are done one by one.
+
+    Args:
+        wires: what the robots sent, by index of their views; what they would send of these when
+            asked lies beside.
+        align: does a job, as a worker would.
+
+    Attributes:
+        names: of the robots, by index.
+        views: index of the view, by robot.
+        jobs: done so far.
+    """
+
+    def __init__(self, wires: Mapping[int, Path], align: Aligner = run_job) -> None:
+        self.site = Site(book=Book(_InMemory()))
+        self.names: dict[int, str] = {}
+        self.settings = ServerSettings.model_validate({})
+        self.jobs = 0
+        self._align = align
+        self._now_s = 0.0
+        self._wires: dict[ViewName, Path] = {}
+        for index, wire in wires.items():
+            view = kept(wire)
+            self.names[index] = view.name.robot
+            self._wires[view.name] = wire
+            pipeline.receive_token(self.site, view.name.robot, view.name.epoch, True)
+            pipeline.receive_view(self.site, view)
+        self.views = {name: index for index, name in self.names.items()}
+
+    def settle(self, most_jobs: int) -> bool:
+        """Aligns and solves by the server's own order of work until nothing is left to align;
+        whether that came to pass within so many jobs.
+        """
+        self.solve()
+        last = self.jobs + most_jobs
+        while self.jobs < last:
+            job = self._next_job()
+            if job is None:
+                return True
+            self._do(job)
+            self._answer_for_wide_sets()
+            self.solve()
+        return False
+
+    def view(self, robot: str) -> ViewName:
+        """The view of a robot."""
+        (keyframe,) = self.site.robots[robot].track.keyframes
+        return keyframe
+
+    def kept(self, robot: str) -> "KeptView":
+        """What the server keeps of a robot's view."""
+        return self.site.views[self.view(robot)]
+
+    @property
+    def components(self) -> list[set[str]]:
+        """Names of the robots that are joined."""
+        assert self.site.solution is not None
+        return [{v.robot for v in views} for views in self.site.solution.components.values()]
+
+    def poses(self) -> dict[str, RobotPose]:
+        """What the server publishes of each robot."""
+        stamp = Stamp(SESSION, 0.0, 0)
+        poses: dict[str, RobotPose] = {}
+        for name, robot in self.site.robots.items():
+            pose = robot_pose(self.site, robot, self.settings, stamp)
+            if pose is not None:
+                robot.published = poses[name] = pose
+        return poses
+
+    def why_not(self, robot: str) -> str:
+        """Why a robot is not located, of the poses asked for last; empty if it is."""
+        return why_not_located(self.site, self.site.robots[robot], self.settings, 0.0)
+
+    def located_cameras(self) -> dict[str, Floats]:
+        """T_fleet_camera (4, 4) of the robots that are located."""
+        return {
+            name: pose.T_fleet_robot @ self.kept(name).camera.T_robot_camera
+            for name, pose in self.poses().items()
+            if pose.located
+        }
+
+    def solve(self) -> None:
+        """Solves the fleet, and judges what depends on that."""
+        self.site.dirty = self.site.dirty or self.site.solution is None
+        while self.site.dirty:  # choosing an anchor makes it dirty once more
+            pipeline.solve(self.site, self._now_s)
+        pipeline.note_components(self.site)
+        pipeline.judge_correspondences(self.site)
+        monitor.judge_calibrations(self.site)
+
+    def _next_job(self) -> Job | None:
+        while compare_some(self.site, self._now_s):
+            pass
+        return pipeline.urgent_job(self.site) or pipeline.next_job(self.site, self._now_s)
+
+    def _do(self, job: Job) -> None:
+        """A job that fails is filed as the server files it."""
+        self.jobs += 1
+        try:
+            done = Done(job, self._align(job))
+        except FleetPoseError as error:
+            done = Done(job, None, str(error))
+        pipeline.take_result(self.site, done, self._now_s)
+
+    def _answer_for_wide_sets(self) -> None:
+        for view in affine_retries.wanted(self.site):
+            wire = self._wires[view]
+            widen(wire)
+            affine_retries.receive(self.site, view, of_wide(wire).read_bytes())

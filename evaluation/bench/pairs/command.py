@@ -1,0 +1,165 @@
+"""`pose-eval pairs`: every pair of a recording, automatically, against the truth.
+
+Each view goes the whole way: stripped folder, the robot's camera, salient points, the bytes on the
+wire, the server's preparation, the alignment.
+"""
+
+import itertools
+import random
+import tempfile
+from collections.abc import Collection
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evaluation.bench.pairs.report import write_results
+from evaluation.bench.pairs.row import PairRow
+from evaluation.bench.pairs.worker import Answer, align, prepare_ms, true_overlap
+from evaluation.bench.working import as_done, on_the_wire, worker_pool
+from evaluation.data.opening import median_depth_m, open_recording
+from evaluation.data.recording import CloudKind, Recording, TrueView, are_partners, shared_tracks
+from evaluation.metrics.geometry import inverse
+from evaluation.metrics.scoring import (
+    Limits,
+    optical_angle_deg,
+    position_error_m,
+    rotation_error_deg,
+)
+from evaluation.report.output import output_folder, progress_bar
+
+TILE = 16  # pairs are done in squares of so many views, so that the caches serve
+
+
+def run(
+    data: Path,
+    clouds: CloudKind | None,
+    out: Path,
+    workers: int = 2,
+    limit: int | None = None,
+    mirror_share: float = 0.0,
+    images: bool = True,
+) -> dict[str, Any]:
+    """Aligns all pairs; writes tables, plots and a report; returns the summary.
+
+    Args:
+        data: a posed-views or RGB-D folder.
+        clouds: kind of clouds, for posed views.
+        out: folder for the results.
+        workers: processes.
+        limit: take that many pairs only, chosen evenly.
+        mirror_share: share of the views whose cameras flip their images.
+        images: whether robots have images beside their clouds.
+
+    Raises:
+        FleetPoseError: the data cannot be used, or the folder cannot be made.
+    """
+    recording = open_recording(data, clouds)
+    pairs = limited(pairs_of(recording), limit)
+    output_folder(out)
+    median_m = median_depth_m(recording)
+    with (
+        tempfile.TemporaryDirectory(prefix="fleetpose-") as folder,
+        worker_pool(workers) as pool,
+        progress_bar() as progress,
+    ):
+        views = {view.index: view for pair in pairs for view in pair}
+        flipped = mirrored_views(views, mirror_share)
+        # two such cameras see one mirrored world, of which the recording's truth says nothing
+        pairs = [(i, j) for i, j in pairs if not {i.index, j.index} <= flipped]
+        wires, robot_ms = on_the_wire(
+            recording,
+            list(views.values()),
+            Path(folder),
+            pool,
+            progress,
+            mirrored=flipped,
+            images=images,
+        )
+        server_ms = list(pool.map(prepare_ms, wires.values()))
+        limits = Limits.of(median_m, recording.is_rgbd)
+        task = progress.add_task("pairs", total=len(pairs))
+        rows = []
+        jobs = ((pair, (align, wires[pair[0].index], wires[pair[1].index])) for pair in pairs)
+        for (i, j), answer in as_done(pool, jobs, in_flight=2 * workers + 2):
+            row = scored(i, j, answer, limits)
+            row.mirrored = (i.index in flipped) != (j.index in flipped)
+            rows.append(row)
+            progress.advance(task)
+        _add_shared_or_overlap(recording, rows, pool, progress)
+    rows.sort(key=lambda row: (row.i, row.j))
+    view_ms = [robot + server for robot, server in zip(robot_ms, server_ms, strict=True)]
+    return write_results(out, recording, rows, median_m, view_ms)
+
+
+def mirrored_views(views: Collection[int], share: float) -> frozenset[int]:
+    """Which views' cameras flip their images: this share of them, by chance, always the same."""
+    return frozenset(random.Random(0).sample(sorted(views), round(share * len(views))))
+
+
+def pairs_of(recording: Recording) -> list[tuple[TrueView, TrueView]]:
+    """All pairs i < j of views with clouds but stereo partners, in an order that suits caches."""
+    pairs = [
+        (i, j) for i, j in itertools.combinations(recording.usable, 2) if not are_partners(i, j)
+    ]
+    return sorted(
+        pairs, key=lambda p: (p[0].index // TILE, p[1].index // TILE, p[0].index, p[1].index)
+    )
+
+
+def limited(
+    pairs: list[tuple[TrueView, TrueView]], limit: int | None
+) -> list[tuple[TrueView, TrueView]]:
+    """At most `limit` of the pairs, spread evenly over the list."""
+    if limit is None or limit >= len(pairs):
+        return pairs
+    chosen = np.linspace(0, len(pairs) - 1, max(limit, 1)).round().astype(int)
+    return [pairs[k] for k in sorted(set(chosen.tolist()))]
+
+
+def scored(i: TrueView, j: TrueView, answer: Answer, limits: Limits) -> PairRow:
+    """An answer beside the truth."""
+    T_i_j_true = inverse(i.T_world_camera) @ j.T_world_camera
+    position = rotation = None
+    ok = grave = False
+    if answer.T_i_j is not None:
+        position = position_error_m(T_i_j_true, answer.T_i_j)
+        rotation = rotation_error_deg(T_i_j_true, answer.T_i_j)
+        ok, grave = limits.ok(position, rotation), limits.grave(position, rotation)
+    return PairRow(
+        i=i.index,
+        j=j.index,
+        verdict=answer.verdict,
+        align_ms=answer.align_ms,
+        T_i_j=answer.T_i_j,
+        covariance=answer.covariance,
+        T_i_j_true=T_i_j_true,
+        angle_deg=optical_angle_deg(i.T_world_camera, j.T_world_camera),
+        position_error_m=position,
+        rotation_error_deg=rotation,
+        ok=ok,
+        grave=grave,
+        start=answer.start,
+        inliers=answer.inliers,
+        reasons="; ".join(answer.reasons),
+        wide=answer.wide,
+        p_grave=answer.p_grave,
+        named_mirrored=answer.mirrored,
+        evidence=answer.evidence,
+    )
+
+
+def _add_shared_or_overlap(
+    recording: Recording, rows: list[PairRow], pool: ProcessPoolExecutor, progress: Any
+) -> None:
+    """Posed views: track ids in common. Dense depth: overlap, which takes a while."""
+    views = {view.index: view for view in recording.views}
+    for row in rows:
+        row.shared = shared_tracks(recording, views[row.i], views[row.j])
+    if recording.is_rgbd or recording.clouds == "stereo_dense":
+        task = progress.add_task("overlap", total=len(rows))
+        jobs = ((row, (true_overlap, views[row.i], views[row.j], row.T_i_j_true)) for row in rows)
+        for row, value in as_done(pool, jobs, in_flight=8):
+            row.overlap = value
+            progress.advance(task)

@@ -1,0 +1,203 @@
+"""What `pose-eval pairs` runs in its workers: a robot's and the server's share, true overlaps."""
+
+import os
+import time
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluation.data.opening import points_of
+from evaluation.data.recording import TrueView
+from evaluation.metrics.geometry import Floats
+from evaluation.metrics.scoring import OverlapCloud, overlap
+
+if TYPE_CHECKING:
+    from pose_server.registration.prepared_view import PreparedView
+    from pose_server.registration.verdict.evaluate import PairResult
+    from pose_server.registration.verdict.hearing import Hearing
+    from robot_agent.cameras.factory import CameraKind
+
+CACHED_VIEWS = 64
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the server would publish of a pair; nobody here knows the truth. `wide`: whether the
+    usual salient points had not settled it; `hearing`: what became of its clicks.
+    """
+
+    T_i_j: Floats | None
+    covariance: Floats | None
+    verdict: str
+    reasons: tuple[str, ...]
+    start: str
+    inliers: int
+    align_ms: float
+    wide: bool = False
+    confirmed: bool = False
+    grown: bool = False
+    p_grave: float = 1.0
+    mirrored: bool = False
+    evidence: dict[str, float] = field(default_factory=dict)
+    hearing: "Hearing | None" = None
+
+
+def use_one_thread() -> None:
+    """Called first in every worker: the processes are the parallelism."""
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ[f"{library}_NUM_THREADS"] = "1"
+    import cv2
+
+    cv2.setNumThreads(1)
+    from pose_server.workers import run
+
+    run.use_one_thread()
+
+
+def encode(
+    robot: str, camera: "CameraKind", folder: Path, wire: Path, images: bool = True
+) -> float:
+    """Does an agent's work for one frame, writes the bytes to a file, returns the milliseconds.
+    Without images it has the cloud alone.
+    """
+    from protocol import codec
+    from protocol.keys import new_epoch
+    from protocol.messages import ViewName
+    from robot_agent.cameras.factory import open_camera
+    from robot_agent.features.depth_picture import picture_of
+    from robot_agent.features.keypoints import salient_of
+    from robot_agent.features.packing import view_of
+    from robot_agent.recent_views import kept_view
+
+    frame = next(iter(open_camera(camera, str(folder), "once").frames()))
+    if not images:
+        frame = replace(frame, image=picture_of(frame.ranges, frame.model), has_image=False)
+    began = time.perf_counter()
+    salient = salient_of(frame)
+    name = ViewName(robot=robot, epoch=new_epoch(), seq=0)
+    view = view_of(name, frame, salient)
+    payload = codec.pack(view)
+    elapsed_ms = 1e3 * (time.perf_counter() - began)
+    wire.write_bytes(payload)
+    wire.with_suffix(".kept").write_bytes(codec.pack(kept_view(view, frame.image)))
+    return elapsed_ms
+
+
+def of_wide(wire: Path) -> Path:
+    """The file of a view's wide set, beside that of the view."""
+    return wire.with_suffix(".wide")
+
+
+def widen(wire: Path) -> float:
+    """Does an agent's work for one view whose wide set is asked for, the first time that it is;
+    returns the milliseconds, 0 if it was done before.
+    """
+    from protocol import codec
+    from protocol.messages import KeptView
+    from robot_agent.features.affine_keypoints import wide_view
+
+    wide = of_wide(wire)
+    if wide.exists():
+        return 0.0
+    kept = codec.unpack(KeptView, wire.with_suffix(".kept").read_bytes())
+    began = time.perf_counter()
+    payload = codec.pack(wide_view(kept))
+    elapsed_ms = 1e3 * (time.perf_counter() - began)
+    mine = wide.with_suffix(f".wide-{os.getpid()}")
+    mine.write_bytes(payload)
+    mine.replace(wide)
+    return elapsed_ms
+
+
+@lru_cache(maxsize=CACHED_VIEWS)
+def prepared(wire: Path) -> tuple["PreparedView", float]:
+    """The server's share of one view, and its milliseconds."""
+    from pose_server.registration.prepared_view import prepare_view
+    from protocol import codec
+    from protocol.messages import View
+
+    payload = wire.read_bytes()
+    began = time.perf_counter()
+    view = prepare_view(codec.unpack(View, payload))
+    return view, 1e3 * (time.perf_counter() - began)
+
+
+@lru_cache(maxsize=CACHED_VIEWS)
+def widened(wire: Path) -> "PreparedView":
+    """The same view with its wide set of salient points, which its robot makes now."""
+    from protocol import codec
+    from protocol.messages import View
+
+    widen(wire)
+    payload = of_wide(wire).read_bytes()
+    return prepared(wire)[0].with_salient(codec.unpack(View, payload).salient)
+
+
+def prepare_ms(wire: Path) -> float:
+    """Milliseconds that the server's share of a view takes."""
+    return prepared(wire)[1]
+
+
+def align(wire_i: Path, wire_j: Path) -> Answer:
+    """Aligns two views, automatic starts only; what is done once per view is not timed."""
+    from pose_server.registration.align import align_pair, align_wide, is_settled
+
+    (i, _), (j, _) = prepared(wire_i), prepared(wire_j)
+    began = time.perf_counter()
+    result = align_pair(i, j)
+    align_ms = 1e3 * (time.perf_counter() - began)
+    if is_settled(result):
+        return answer_of(result, align_ms)
+    wide_i, wide_j = widened(wire_i), widened(wire_j)
+    began = time.perf_counter()
+    result = align_wide(wide_i, wide_j, result)
+    return answer_of(result, align_ms + 1e3 * (time.perf_counter() - began), wide=True)
+
+
+def answer_of(result: "PairResult", align_ms: float, wide: bool = False) -> Answer:
+    """What the server would publish of a result."""
+    return Answer(
+        T_i_j=_floats(result.T_i_j),
+        covariance=_floats(result.covariance),
+        verdict=result.verdict,
+        reasons=tuple(result.reasons),
+        start=result.start,
+        confirmed=result.confirmed,
+        grown=result.grown,
+        hearing=result.hearing,
+        inliers=int(result.inliers),
+        align_ms=align_ms,
+        wide=wide,
+        p_grave=result.p_grave,
+        mirrored=result.mirrored,
+        evidence=_flat(result.evidence or result.surfaces),
+    )
+
+
+def _flat(evidence: Any) -> dict[str, float]:
+    """All numbers of an evidence, those of its parts too."""
+    if evidence is None:
+        return {}
+    numbers: dict[str, float] = {}
+    for name, value in asdict(evidence).items():
+        numbers |= value if isinstance(value, dict) else {name: value}
+    return numbers
+
+
+def _floats(array: npt.ArrayLike | None) -> Floats | None:
+    return None if array is None else np.asarray(array, np.float64)
+
+
+_overlap_clouds: dict[int, OverlapCloud] = {}  # a worker serves one recording
+
+
+def true_overlap(i: TrueView, j: TrueView, T_i_j: Floats) -> float:
+    """Overlap of two views at their true pose."""
+    for view in (i, j):
+        if view.index not in _overlap_clouds:
+            _overlap_clouds[view.index] = OverlapCloud.of(points_of(view)[1])
+    return overlap(_overlap_clouds[i.index], _overlap_clouds[j.index], T_i_j)

@@ -1,1 +1,0 @@
-"""What the operator's clicks are worth: on rings of robots, on single pairs, and over time."""

@@ -1,0 +1,125 @@
+"""What the commands show and leave: summary.json, CSV files, progress, tables, plots."""
+
+import csv
+import json
+import math
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evaluation.metrics.geometry import Floats, quat_wxyz
+from protocol.errors import FleetPoseError
+
+POSE_COLUMNS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz")
+COVARIANCE_COLUMNS = tuple(f"c{row}{column}" for row in range(6) for column in range(row, 6))
+"""Upper triangle, row by row: rotation then translation, left perturbation."""
+
+
+class OutputFolderError(FleetPoseError):
+    """The folder for the results cannot be made."""
+
+
+def output_folder(path: Path) -> Path:
+    """Makes the folder for the results.
+
+    Raises:
+        OutputFolderError: it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputFolderError(f"--out {path}: {error.strerror}; name a folder to make") from error
+    return path
+
+
+def pose_cells(T_a_b: Floats | None, covariance: Floats | None) -> dict[str, float | str]:
+    """The cells of a pose and its covariance in a CSV row; empty where there is none."""
+    row: dict[str, float | str] = dict.fromkeys((*POSE_COLUMNS, *COVARIANCE_COLUMNS), "")
+    if T_a_b is not None:
+        values = (*quat_wxyz(T_a_b[:3, :3]), *T_a_b[:3, 3])
+        row.update(zip(POSE_COLUMNS, (float(value) for value in values), strict=True))
+    if T_a_b is not None and covariance is not None:
+        upper = covariance[np.triu_indices(6)]
+        row.update(zip(COVARIANCE_COLUMNS, (float(value) for value in upper), strict=True))
+    return row
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Writes rows, with exactly these columns; None becomes an empty cell."""
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, columns, extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
+    """Writes `summary.json`; numbers that are not finite become null."""
+    text = json.dumps(_finite(summary), indent=1, allow_nan=False)
+    (folder / "summary.json").write_text(text + "\n")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def progress_bar() -> Any:
+    """A `rich` progress bar on standard error, so that output can be piped."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=Console(file=sys.stderr),
+    )
+
+
+def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Prints a table; numbers are shown with four significant digits, None as a dash."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for number, column in enumerate(columns):
+        table.add_column(column, justify="left" if number == 0 else "right")
+    for row in rows:
+        table.add_row(*(cell(value) for value in row))
+    Console().print(table)
+
+
+def cell(value: Any) -> str:
+    """A value as tables show it."""
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def new_figure(width: float = 6.0, height: float = 5.0) -> tuple[Any, Any]:
+    """A matplotlib figure and its axes that need no display."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.add_subplot()

@@ -1,0 +1,21 @@
+"""Textured worlds whose truth is known to the last digit: a town square with robots in a ring, and
+plans of alike parts that fool.
+"""
+
+from evaluation.simulate.world.plans.planned import PLANS, PlanWorld
+from evaluation.simulate.world.render import Renderer, Rendering
+from evaluation.simulate.world.ring import RingWorld, ring_rig
+from evaluation.simulate.world.robots import StereoShot, World
+from evaluation.simulate.world.town import town_square
+
+__all__ = [
+    "PLANS",
+    "PlanWorld",
+    "Renderer",
+    "Rendering",
+    "RingWorld",
+    "StereoShot",
+    "World",
+    "ring_rig",
+    "town_square",
+]

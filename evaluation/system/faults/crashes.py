@@ -1,0 +1,225 @@
+"""All kinds of processes killed at random moments while operators click."""
+
+import itertools
+import json
+import random
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from deploy.local_fleet import LocalFleet, wait_running
+from evaluation.report.output import write_csv
+from evaluation.system.faults.clerk import Ledger
+from evaluation.system.faults.clicker import Clicker, Places
+from evaluation.system.fleet import FleetPlan, open_link, plan_world, start, wait_started
+from evaluation.system.observer import Observer
+from protocol.errors import FleetPoseError
+from protocol.keys import Keys
+from protocol.transport import wait_until
+
+ROBOTS = 3
+CLICKS_PER_S = 60.0
+UP_WITHIN_S = 60.0
+SETTLED_WITHIN_S = 30.0
+_PAUSE_S = (0.2, 1.5)  # between everything running again and the next kill
+_TARGETS = ("server",) * 4 + ("router", "router", "robot", "worker", "desk", "desk")
+_DESK = "desk"
+KINDS = ("server", "worker", "router", "robot", "desk")
+_MIN_PLACES = 30
+
+
+@dataclass
+class Kill:
+    """What was noted of one kill.
+
+    Attributes:
+        target: the process.
+        in_flight: updates that were put and not receipted at that moment.
+        up_s: from the kill until it was up again: the server's token, the router's port, the
+            robot's token; a desk is up at once.
+        recovery_s: from the kill to the next receipt, of the desk where it was killed.
+        poses_s: from being up to a new pose of every robot; of server and router only.
+    """
+
+    target: str
+    in_flight: int
+    up_s: float = 0.0
+    recovery_s: float = 0.0
+    poses_s: float | None = None
+
+
+def run(
+    kills: int, seed: int, scratch: Path, logs: Path, progress: Callable[[], None]
+) -> dict[str, Any]:
+    """Runs a small fleet, kills its processes and counts what the operator lost.
+
+    Raises:
+        FleetPoseError: the fleet does not come up, or not again.
+    """
+    chance = random.Random(seed)
+    plan = plan_world([f"r{k + 1}" for k in range(ROBOTS)], scratch, moving=False, seed=0)
+    noted: list[Kill] = []
+    with LocalFleet(logs) as fleet, ExitStack() as closing:
+        start(fleet, plan, 2, scratch / "state")
+        link = open_link(fleet)
+        closing.callback(link.close)
+        observer = Observer(link, Keys(fleet.site))
+        closing.callback(observer.close)
+        wait_started(fleet, observer, ROBOTS)
+        places = _places(fleet, plan, observer)
+        clicker = Clicker(link, Keys(fleet.site), places, CLICKS_PER_S)
+        closing.callback(clicker.close)
+        clicker.start()
+        ledger = Ledger(link, Keys(fleet.site))
+        pause = scratch / "pause"
+        _start_desk(fleet, places, scratch, pause)
+        for _ in range(kills):
+            target = chance.choice(_TARGETS)
+            target = chance.choice(plan.names) if target == "robot" else target
+            time.sleep(chance.uniform(*_PAUSE_S))
+            noted.append(_kill(fleet, observer, clicker, ledger, target))
+            progress()
+        clicker.pause()
+        pause.touch()
+        settled = clicker.settled(SETTLED_WITHIN_S) and wait_until(
+            lambda: ledger.in_flight(fleet.told(_DESK)) == 0, SETTLED_WITHIN_S
+        )
+        told = _restart_and_hear_all(fleet, observer, clicker, ledger)
+        account = clicker.account()
+        told_clicks = fleet.told(_DESK)
+        lost, doubled = ledger.account(told_clicks, clicker.erased())
+        account.lost.extend(lost)
+        account.doubled.extend(doubled)
+    for sentence in (*account.lost[:10], *account.doubled[:10]):
+        print(sentence)
+    rows = [asdict(kill) for kill in noted]
+    write_csv(logs.parent.parent / "kills.csv", [column.name for column in fields(Kill)], rows)
+    return {
+        "kills": kills,
+        **{f"kills_{kind}": sum(_kind(k.target) == kind for k in noted) for kind in KINDS},
+        "receipted": clicker.receipted + ledger.receipted(told_clicks),
+        "receipted_desk": ledger.receipted(told_clicks),
+        "rejected": sum(clicker.reasons().values()),
+        "settled": settled and told,
+        "in_flight_at_kill": sum(kill.in_flight for kill in noted),
+        "lost": len(account.lost),
+        "doubled": len(account.doubled),
+        "in_flight_at_kill_desk": sum(k.in_flight for k in noted if k.target == _DESK),
+        "recovery_s_p95": float(np.percentile([kill.recovery_s for kill in noted], 95)),
+        "poses_after_server_s": _longest(noted, "server"),
+        "poses_after_router_s": _longest(noted, "router"),
+        "leftover_processes": fleet.leftover_processes(),
+    }
+
+
+def _kind(target: str) -> str:
+    return target if target in KINDS else "robot"
+
+
+def _start_desk(fleet: LocalFleet, places: list[Places], scratch: Path, pause: Path) -> None:
+    """Starts the client of an operator who clicks at the same places."""
+    pairs = [
+        {
+            "view_i": one.i.view.name.model_dump(),
+            "view_j": one.j.view.name.model_dump(),
+            "uv_i": one.uv_i.tolist(),
+            "uv_j": one.uv_j.tolist(),
+        }
+        for one in places
+    ]
+    file = scratch / "places.json"
+    file.write_text(json.dumps(pairs))
+    files = (scratch / "updates.sqlite", file, pause)
+    where = (fleet.endpoint, fleet.site, *(str(path) for path in files))
+    fleet.start(_DESK, "evaluation.system.faults.clerk", *where, json_lines=True)
+
+
+def _longest(noted: list[Kill], target: str) -> float | None:
+    seconds = [kill.poses_s for kill in noted if kill.target == target]
+    return max((s for s in seconds if s is not None), default=None)
+
+
+def _places(fleet: LocalFleet, plan: FleetPlan, observer: Observer) -> list[Places]:
+    """Where every pair that sees anything in common can be clicked, by the truth."""
+
+    def found() -> list[Places]:
+        views = [observer.newest_view(name) for name in plan.names]
+        pairs = itertools.combinations([view for view in views if view is not None], 2)
+        places = [Places(i, j, *plan.truth.correspondences(i, j)) for i, j in pairs]
+        return [one for one in places if len(one.uv_i) >= _MIN_PLACES]
+
+    everybody = wait_running(
+        fleet, lambda: all(observer.newest_view(name) for name in plan.names), UP_WITHIN_S
+    )
+    places = found() if everybody else []
+    if not places:
+        raise FleetPoseError(f"no two robots see the same; the logs are in {fleet.directory}")
+    return places
+
+
+def _kill(
+    fleet: LocalFleet, observer: Observer, clicker: Clicker, ledger: Ledger, target: str
+) -> Kill:
+    """Kills a process, starts it again as a supervisor would, and waits until all flows."""
+    in_flight = clicker.in_flight() if target != _DESK else ledger.in_flight(fleet.told(_DESK))
+    noted = Kill(target, in_flight)
+    before, killed_s = observer.server_epochs(), time.monotonic()
+    if target == "worker":  # the server starts another one
+        workers = psutil.Process(fleet.pid("server")).children()
+        max(workers, key=lambda process: process.memory_info().rss).kill()
+    else:
+        fleet.kill(target)
+        fleet.restart(target)
+    if target == "router":
+        fleet.wait_accepting()
+    elif target == "server":
+        if not wait_running(fleet, lambda: bool(observer.server_epochs() - before), UP_WITHIN_S):
+            raise FleetPoseError(f"the server is not back; its log ends:\n{fleet.tail('server')}")
+    elif target != _DESK and not wait_running(
+        fleet, lambda: observer.alive_robots() == ROBOTS, UP_WITHIN_S
+    ):
+        raise FleetPoseError(f"{target} is not back; logs: {fleet.directory}")
+    up_s = time.monotonic()
+    noted.up_s = up_s - killed_s
+    if target in ("server", "router"):
+        noted.poses_s = _poses_anew(fleet, observer, up_s)
+    whose = ledger if target == _DESK else clicker
+    since_s = up_s if target == _DESK else killed_s
+    if not wait_running(fleet, lambda: whose.first_receipt_s(since_s) is not None, UP_WITHIN_S):
+        raise FleetPoseError(f"no receipts after {target} was killed; logs: {fleet.directory}")
+    first_s = whose.first_receipt_s(since_s)
+    assert first_s is not None
+    noted.recovery_s = first_s - killed_s
+    return noted
+
+
+def _poses_anew(fleet: LocalFleet, observer: Observer, since_s: float) -> float:
+    """Waits for a new pose of every robot; seconds from the given moment to the last of them."""
+
+    def times() -> list[float | None]:
+        robots = list(observer.poses())
+        return [observer.first_pose_s((robot,), since_s) for robot in robots]
+
+    if not wait_running(fleet, lambda: all(at is not None for at in times()), UP_WITHIN_S):
+        raise FleetPoseError(f"poses do not flow again; logs: {fleet.directory}")
+    return max((at - since_s for at in times() if at is not None), default=0.0)
+
+
+def _restart_and_hear_all(
+    fleet: LocalFleet, observer: Observer, clicker: Clicker, ledger: Ledger
+) -> bool:
+    """Ends and starts the server in good order, so that what it then tells is what it kept; whether
+    it told of every pair.
+    """
+    before = observer.server_epochs()
+    fleet.restart("server")
+    if not wait_running(fleet, lambda: bool(observer.server_epochs() - before), UP_WITHIN_S):
+        return False
+    (epoch,) = observer.server_epochs() - before
+    return wait_until(lambda: clicker.heard_all(epoch) and ledger.heard_all(epoch), UP_WITHIN_S)

@@ -1,0 +1,121 @@
+"""A small fleet of replayed robots, and operators at their desks: the client's own session and
+connection, without a screen.
+"""
+
+import itertools
+import json
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from deploy.local_fleet import LocalFleet, wait_running
+from evaluation.system.fleet import (
+    FleetPlan,
+    open_link,
+    plan_world,
+    replay_arguments,
+    start,
+    wait_started,
+)
+from evaluation.system.observer import Observer, SeenView
+from hmi_client.model.session import OperatorSession
+from hmi_client.network.client import Client
+from protocol.errors import FleetPoseError
+from protocol.keys import Keys
+from protocol.transport import Link, SessionSettings, open_session, wait_until
+
+RATE_HZ = 5.0
+MIN_PLACES = 60
+UP_WITHIN_S = 90.0
+HEARD_WITHIN_S = 10.0
+
+Pair = tuple[str, str]
+
+
+@contextmanager
+def replayed_fleet(
+    robots: int, scratch: Path, logs: Path
+) -> Iterator[tuple[LocalFleet, FleetPlan, Link, Observer]]:
+    """Robots that stand in the synthetic world and send at 5 Hz, a server, and an observer."""
+    plan = plan_world([f"r{k + 1}" for k in range(robots)], scratch, moving=False, seed=0)
+    with LocalFleet(logs) as fleet:
+        start(fleet, FleetPlan((), plan.truth, plan.world), 2, scratch / "state")
+        options = ("load", *fleet.connection, *replay_arguments(plan, RATE_HZ, frames=4))
+        fleet.start("load", "evaluation", *options)
+        link = open_link(fleet)
+        observer = Observer(link, Keys(fleet.site))
+        try:
+            wait_started(fleet, observer, robots)
+            yield fleet, plan, link, observer
+        finally:
+            observer.close()
+            link.close()
+
+
+def clickable_pairs(fleet: LocalFleet, plan: FleetPlan, observer: Observer) -> list[Pair]:
+    """The pairs of robots that see enough in common, by the truth.
+
+    Raises:
+        FleetPoseError: there are none.
+    """
+
+    def seen() -> list[SeenView]:
+        views = [observer.newest_view(name) for name in plan.names]
+        return [view for view in views if view is not None]
+
+    wait_running(fleet, lambda: len(seen()) == len(plan.names), UP_WITHIN_S)
+    pairs = [
+        (i.view.name.robot, j.view.name.robot)
+        for i, j in itertools.combinations(seen(), 2)
+        if len(plan.truth.correspondences(i, j)[0]) >= MIN_PLACES
+    ]
+    if not pairs:
+        raise FleetPoseError(f"no two robots see the same; the logs are in {fleet.directory}")
+    return pairs
+
+
+@contextmanager
+def operator(name: str, endpoint: str, site: str, pair: Pair | None) -> Iterator[OperatorSession]:
+    """An operator's session, connected, with a pair selected once the server knows its robots.
+
+    Raises:
+        FleetPoseError: the server was not heard, or does not know them.
+    """
+    session = OperatorSession(name)
+    settings = SessionSettings(connect=(endpoint,))
+    with Client(session, Keys(site), lambda: Link(open_session(settings))):
+        if pair is not None:
+            known = wait_until(lambda: set(pair) <= set(session.robots()), HEARD_WITHIN_S)
+            if not known:
+                raise FleetPoseError(f"{name} hears of {session.robots()}, not of {pair}")
+            session.select(*pair)
+        yield session
+
+
+def read(name: str, endpoint: str, site: str, pair: Pair) -> None:
+    """Follows a fleet as the screen does and prints a line for each state: when, and its number.
+
+    Runs until its standard output is closed or it is ended.
+    """
+    with operator(name, endpoint, site, pair) as session:
+        told = -1
+        while True:
+            seen = session.revisions()
+            if session.fleet is not None and session.fleet.n != told:
+                told = session.fleet.n
+                views = [p.view.seq if (p := session.picture(r)) else None for r in pair]
+                line = {"at_s": time.monotonic(), "state": told, "pictures": views}
+                print(json.dumps(line), flush=True)
+            session.wait_change(seen, ("fleet",), 0.5)
+
+
+def main() -> None:
+    """Arguments NAME ENDPOINT SITE I J: what is frozen by `frozen`."""
+    name, endpoint, site, i, j = sys.argv[1:]
+    read(name, endpoint, site, (i, j))
+
+
+if __name__ == "__main__":
+    main()

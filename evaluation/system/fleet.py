@@ -1,0 +1,440 @@
+"""`pose-eval fleet`: live processes on a recording or in the synthetic world, against the truth."""
+
+import random
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from deploy.local_fleet import LocalFleet, wait_running
+from evaluation.data.anonymize import StrippedFolder, distinct_names, strip
+from evaluation.data.covisibility import paired_up
+from evaluation.data.opening import open_recording
+from evaluation.data.parts import parts_of
+from evaluation.data.recording import CloudKind
+from evaluation.metrics.fleet_scoring import PoseNow, SampleRow, score_sample
+from evaluation.metrics.scoring import RGBD_REFERENCE_SIGMA_M
+from evaluation.report.output import output_folder, progress_bar
+from evaluation.simulate.operator import SimulatedOperator
+from evaluation.system.fleet_report import FleetResult, write_results
+from evaluation.system.memory import Memory
+from evaluation.system.observer import Believed, Observer
+from evaluation.system.truth import RecordedTruth, Truth, WorldTruth
+from protocol.errors import DataFolderError, FleetPoseError
+from protocol.keys import Keys
+from protocol.transport import Link, SessionSettings, free_port, open_session, wait_until
+
+FIRST_SAMPLE_S = 20.0
+WORLD_START_S = 60.0
+RATE_HZ, REPLAYED_RATE_HZ = 1.0, 0.5  # views of an agent, and of each robot that is replayed
+MOST_AGENTS = (
+    16  # beyond, views are encoded beforehand and replayed, so that the server is measured
+)
+LOAD = "load"
+ERRAND_RATE = 30.0  # clicks per minute on pairs that are skipped otherwise
+STARTED_WITHIN_S = 120.0
+
+
+@dataclass(frozen=True)
+class RobotPlan:
+    """How one robot is started."""
+
+    name: str
+    camera: str
+    data: str
+    options: tuple[str, ...] = ()
+    rate_hz: float = 1.0
+
+
+@dataclass(frozen=True)
+class FleetPlan:
+    """Which robots run, in the order r1, r2, ... of the recording, and what is true of them."""
+
+    robots: tuple[RobotPlan, ...]
+    truth: Truth
+    world: tuple[str, ...] = ()  # arguments of the world's process, if there is one
+    frames: int = 1  # of each robot, where they are replayed by one process
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(robot.name for robot in self.robots)
+
+    @property
+    def replayed(self) -> bool:
+        """Whether one process replays views that were encoded beforehand, for all robots."""
+        return len(self.robots) > MOST_AGENTS
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """The names of the processes that are the robots."""
+        return (LOAD,) if self.replayed else self.names
+
+
+@dataclass(frozen=True)
+class FleetOptions:
+    """What `pose-eval fleet` is asked for."""
+
+    robots: int
+    seconds: float
+    data: Path | None = None
+    clouds: CloudKind | None = None
+    first: int = 0
+    skip_pairs: Path | None = None
+    clicks_per_minute: float = 0.0
+    clicks_on_skipped: int = 0
+    workers: int = 2
+    cluster: str | None = None
+    moving: bool = False
+    seed: int = 0
+    world: str | None = None  # a plan that fools, instead of the town square
+    unique: int = 0
+    views: tuple[int, ...] = ()  # one robot stands at each of these; `robots` is their number then
+    mistakes: float = 0.0  # share of the questions that the operator answers wrongly
+    recipe: Literal["full", "paper"] = "full"
+
+
+@dataclass
+class _Watch:
+    """What is noted while the fleet runs."""
+
+    rows: list[SampleRow] = field(default_factory=list)
+    memory: Memory = field(default_factory=Memory)
+
+
+def run(options: FleetOptions, out: Path) -> dict[str, Any]:
+    """Runs a fleet, scores its published poses every second from 20 s on; returns the summary.
+
+    Raises:
+        FleetPoseError: the data cannot be used, or a process ended.
+    """
+    if options.seconds <= FIRST_SAMPLE_S:
+        raise FleetPoseError(
+            f"--seconds {options.seconds:g}: poses are scored from 20 s on, give more"
+        )
+    for old in output_folder(out).glob("logs/*.log"):
+        old.unlink()
+    watch = _Watch()
+    with tempfile.TemporaryDirectory(prefix="fleetpose-") as scratch:
+        plan = plan_fleet(options, Path(scratch))
+        skip = named_skip_pairs(options.skip_pairs, plan.names, Path(scratch))
+        with LocalFleet(out / "logs") as fleet:
+            state = Path(scratch) / "state"
+            options_of_server = ("--recipe", options.recipe)
+            start(fleet, plan, options.workers, state, skip, options.cluster, options_of_server)
+            link = open_link(fleet)
+            observer = Observer(link, Keys(fleet.site))
+            operator = None
+            try:
+                started_s = wait_started(fleet, observer, len(plan.robots))
+                operator = _operator(options, link, Keys(fleet.site), observer, plan, skip)
+                if operator is not None:
+                    operator.start()
+                _watch(fleet, observer, plan, started_s, options.seconds, watch)
+                if operator is not None:
+                    operator.finish()
+                unanswered_s = [] if operator is None else operator.unanswered_s()
+            finally:
+                if operator is not None:
+                    operator.close()
+                observer.close()
+                link.close()
+        result = FleetResult(
+            robots=plan.names,
+            rows=watch.rows,
+            observer=observer,
+            operator=operator,
+            unanswered_s=unanswered_s,
+            memory=watch.memory,
+            started_s=started_s,
+            median_depth_m=plan.truth.median_depth_m(observer.newest_views()),
+            rgbd=plan.truth.rgbd,
+            together=_seen_together(observer, plan.truth),
+            leftover_processes=fleet.leftover_processes(),
+        )
+    return write_results(out, result)
+
+
+def _operator(
+    options: FleetOptions,
+    link: Link,
+    keys: Keys,
+    observer: Observer,
+    plan: FleetPlan,
+    skip: Path | None,
+) -> SimulatedOperator | None:
+    """Who clicks at a steady rate, or so many points on each skipped pair and no more."""
+    if options.clicks_on_skipped and skip is not None:
+        pairs = [tuple(sorted(line.split())) for line in skip.read_text().splitlines()]
+        errands = dict.fromkeys(pairs, options.clicks_on_skipped)
+        return SimulatedOperator(link, keys, observer, plan.truth, ERRAND_RATE, errands=errands)
+    if options.clicks_per_minute > 0:
+        return SimulatedOperator(
+            link,
+            keys,
+            observer,
+            plan.truth,
+            options.clicks_per_minute,
+            seed=options.seed,
+            mistakes=options.mistakes,
+        )
+    return None
+
+
+def plan_fleet(options: FleetOptions, scratch: Path) -> FleetPlan:
+    """Robots with random names on stripped folders of a recording, or in a synthetic world."""
+    rng = random.Random()
+    names = distinct_names(len(options.views) or options.robots, rng)
+    if options.data is None:
+        if options.views:
+            raise DataFolderError("--views names views of a recording: give --data DIR")
+        return plan_world(
+            names, scratch, options.moving, options.seed, options.world, options.unique
+        )
+    if options.world is not None:
+        raise FleetPoseError(f"--world {options.world} and --data: give one of them")
+    recording = open_recording(options.data, options.clouds)
+    parts = parts_of(recording, options.robots, options.first, options.views)
+    folders = {
+        name: strip(recording, part, scratch / name, rng)
+        for name, part in zip(names, parts, strict=True)
+    }
+    still = options.views or not recording.is_rgbd
+    replay = ("--replay", "hold" if still else "pingpong")
+    return FleetPlan(
+        tuple(_replaying(name, folder, replay) for name, folder in folders.items()),
+        RecordedTruth(recording, folders),
+        frames=max(len(part) for part in parts),
+    )
+
+
+def plan_world(
+    names: Sequence[str],
+    scratch: Path,
+    moving: bool,
+    seed: int,
+    plan: str | None = None,
+    unique: int = 0,
+) -> FleetPlan:
+    """Robots in a synthetic world, which runs in a process of its own.
+
+    Args:
+        names: of the robots.
+        scratch: where the truth goes.
+        moving: they walk.
+        seed: of the world.
+        plan: one that fools; else the town square.
+        unique: how many unique things stand about in it.
+
+    Raises:
+        FleetPoseError: too many robots are to walk, or robots of a plan.
+    """
+    if moving and plan is not None:
+        raise FleetPoseError(f"--moving --world {plan}: robots of a plan stand still")
+    if unique and plan is None:
+        raise FleetPoseError(f"--unique {unique}: name a plan with --world")
+    if moving and len(names) > MOST_AGENTS:
+        raise FleetPoseError(
+            f"--moving --robots {len(names)}: beyond {MOST_AGENTS} robots replay what was encoded "
+            "beforehand, so that they cannot walk through the world"
+        )
+    listen = f"127.0.0.1:{free_port()}"
+    truth_file = scratch / "truth"
+    world = ["world", "--robots", str(len(names)), "--listen", listen, "--seed", str(seed)]
+    world += ["--truth-file", str(truth_file), *(["--moving"] if moving else [])]
+    world += [] if plan is None else ["--plan", plan, "--unique", str(unique)]
+    places = {name: f"r{number + 1}" for number, name in enumerate(names)}
+    robots = tuple(
+        RobotPlan(name, "synthetic", f"{listen}/{place}", rate_hz=RATE_HZ)
+        for name, place in places.items()
+    )
+    return FleetPlan(robots, WorldTruth(truth_file, places), tuple(world))
+
+
+def named_skip_pairs(path: Path | None, names: Sequence[str], scratch: Path) -> Path | None:
+    """Writes lines `r1 r2` (places from 1 on) with the robots' random names instead.
+
+    Raises:
+        DataFolderError: the file cannot be read, or names no such robot.
+    """
+    if path is None:
+        return None
+    places = {f"r{number + 1}": name for number, name in enumerate(names)}
+    try:
+        pairs = [line.split() for line in path.read_text().splitlines() if line.strip()]
+        lines = [f"{places[a]} {places[b]}" for a, b in pairs]
+    except (OSError, KeyError, ValueError) as error:
+        raise DataFolderError(
+            f"--skip-pairs {path}: {error!r}; write lines like 'r1 r2', up to r{len(names)}"
+        ) from error
+    named = scratch / "skip_pairs"
+    named.write_text("\n".join(lines) + "\n")
+    return named
+
+
+def kept_apart(names: Sequence[str], scratch: Path) -> Path:
+    """Writes a file of pairs to skip: all of the last robot, so that only an operator can join
+    it.
+    """
+    path = scratch / "kept_apart"
+    path.write_text("".join(f"{name} {names[-1]}\n" for name in names[:-1]))
+    return path
+
+
+def start(
+    fleet: LocalFleet,
+    plan: FleetPlan,
+    workers: int,
+    state: Path,
+    skip_pairs: Path | None = None,
+    cluster: str | None = None,
+    of_server: Sequence[str] = (),
+) -> None:
+    """Starts router, world, server, with options of its own, and robots."""
+    start_servers(fleet, plan, workers, state, skip_pairs, cluster, of_server)
+    if plan.replayed:
+        replayed = replay_arguments(plan, REPLAYED_RATE_HZ, plan.frames)
+        fleet.start(LOAD, "evaluation", "load", *fleet.connection, *replayed)
+        return
+    for robot in plan.robots:
+        start_robot(fleet, robot)
+
+
+def start_robot(fleet: LocalFleet, robot: RobotPlan) -> None:
+    """Starts one robot's agent."""
+    rate = ("--rate", str(robot.rate_hz))
+    fleet.start_robot(robot.name, robot.camera, robot.data, *rate, *robot.options)
+
+
+def start_servers(
+    fleet: LocalFleet,
+    plan: FleetPlan,
+    workers: int,
+    state: Path,
+    skip_pairs: Path | None = None,
+    cluster: str | None = None,
+    of_server: Sequence[str] = (),
+) -> None:
+    """Starts router, world and server."""
+    fleet.start_router()
+    if plan.world:
+        fleet.start("world", "evaluation", *plan.world)
+    skip = () if skip_pairs is None else ("--skip-pairs", str(skip_pairs))
+    elsewhere = () if cluster is None else ("--cluster", cluster)
+    fleet.start_server("--workers", str(workers), *elsewhere, *skip, *of_server, state=state)
+    if isinstance(plan.truth, WorldTruth):
+        _wait_for_world(fleet, plan.truth)
+
+
+def _wait_for_world(fleet: LocalFleet, truth: WorldTruth) -> None:
+    """A world paints its textures first; robots are started when it listens.
+
+    Raises:
+        ProcessEndedError: it ended.
+        FleetPoseError: it does not listen within a minute.
+    """
+
+    def ready() -> bool:
+        fleet.check()
+        return truth.is_there()
+
+    if not wait_until(ready, WORLD_START_S, poll_s=0.1):
+        raise FleetPoseError(f"the world does not start; its log ends:\n{fleet.tail('world')}")
+
+
+def open_link(fleet: LocalFleet) -> Link:
+    """The evaluation's own session."""
+    return Link(open_session(SessionSettings(connect=(fleet.endpoint,))))
+
+
+def wait_started(fleet: LocalFleet, observer: Observer, robots: int) -> float:
+    """Waits until server and robots show themselves alive; returns the monotonic time.
+
+    Raises:
+        ProcessEndedError: one of them ended.
+        FleetPoseError: they are not up within two minutes.
+    """
+    up = wait_running(
+        fleet,
+        lambda: observer.server_alive() and observer.alive_robots() == robots,
+        STARTED_WITHIN_S,
+    )
+    if not up:
+        raise FleetPoseError(
+            f"after {STARTED_WITHIN_S:.0f} s {observer.alive_robots()} of {robots} robots are up; "
+            f"the logs are in {fleet.directory}"
+        )
+    return time.monotonic()
+
+
+def poses_now(
+    observer: Believed, truth: Truth, ahead_ns: Mapping[str, int] | None = None
+) -> dict[str, PoseNow]:
+    """The newest pose of each robot beside the truth; a stale pose is neither located nor verified.
+
+    Args:
+        ahead_ns: by how much clocks of robots are ahead; else they share this machine's clock.
+    """
+    poses = {}
+    for robot, seen_pose in observer.poses().items():
+        pose = seen_pose.pose
+        seen = observer.view(pose.view)
+        T_world_robot = None if seen is None else truth.T_world_robot(seen)
+        now_ns = time.time_ns() + (ahead_ns or {}).get(robot, 0)
+        if T_world_robot is not None:
+            poses[robot] = PoseNow(
+                pose.T_fleet_robot,
+                pose.covariance,
+                pose.component,
+                pose.located and pose.valid_until_ns > now_ns,
+                T_world_robot,
+                pose.verdict == "verified" and pose.valid_until_ns > now_ns,
+            )
+    return poses
+
+
+def _seen_together(observer: Observer, truth: Truth) -> set[str]:
+    """Robots whose newest view shows what another one's shows as well."""
+    seen = {view.view.name.robot: view for view in observer.newest_views()}
+    return paired_up(list(seen), lambda a, b: truth.see_the_same(seen[a], seen[b]))
+
+
+def _watch(
+    fleet: LocalFleet,
+    observer: Observer,
+    plan: FleetPlan,
+    started_s: float,
+    seconds: float,
+    watch: _Watch,
+) -> None:
+    with progress_bar() as progress:
+        task = progress.add_task("seconds", total=int(seconds))
+        for second in range(1, int(seconds) + 1):
+            wait_until(lambda end=started_s + second: time.monotonic() >= end, 2.0)
+            fleet.check()
+            watch.memory.note(fleet, plan.agents)
+            if second >= FIRST_SAMPLE_S:
+                anchor = None if observer.state is None else observer.state.anchor
+                now = poses_now(observer, plan.truth)
+                noise_m = RGBD_REFERENCE_SIGMA_M if plan.truth.rgbd else 0.0
+                watch.rows += score_sample(float(second), plan.names, now, anchor, noise_m)
+            progress.update(task, completed=second, description=_doing(observer, plan))
+
+
+def _doing(observer: Observer, plan: FleetPlan) -> str:
+    return f"{observer.located_counts[-1][1]}/{len(plan.robots)} located"
+
+
+def _replaying(name: str, folder: StrippedFolder, replay: tuple[str, ...]) -> RobotPlan:
+    return RobotPlan(name, folder.camera, str(folder.path), replay, RATE_HZ)
+
+
+def replay_arguments(plan: FleetPlan, rate_hz: float, frames: int) -> tuple[str, ...]:
+    """The arguments of `pose-eval load` for the robots of a plan."""
+    robots = [part for robot in plan.robots for part in ("--robot", _written(robot))]
+    return (*robots, "--rate", str(rate_hz), "--frames", str(frames))
+
+
+def _written(robot: RobotPlan) -> str:
+    return f"{robot.name},{robot.camera},{robot.data}"

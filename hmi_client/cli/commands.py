@@ -1,0 +1,182 @@
+"""The command `hmi-client`: screen, screenshot, record, replay, watch, status, why and
+correspondences.
+"""
+
+import json
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hmi_client.cli import connection as c
+from hmi_client.cli import correspondences, recordings
+from hmi_client.cli.options import Fps, KeysFile, LogFile, Theme, Threshold
+from hmi_client.errors import OperatorError
+
+ALIGNMENTS_S = 1.0  # they are latched: what has not come by then was never told
+
+app = typer.Typer(
+    no_args_is_help=False,
+    pretty_exceptions_enable=False,
+)
+app.add_typer(correspondences.app, name="correspondences")
+app.add_typer(recordings.app)
+
+
+@app.callback(invoke_without_command=True)
+def default(
+    context: typer.Context,
+    fps: Fps = 10.0,
+    threshold: Threshold = None,
+    theme: Theme = "auto",
+    keys: KeysFile = None,
+    log: LogFile = None,
+    connect: c.Connect = c.DEFAULT_CONNECT,
+    site: c.Site = c.DEFAULT_SITE,
+    config: c.Config = None,
+    operator: c.Operator = "",
+) -> None:
+    """The operator's client of a fleet: see where every robot is, and help where asked.
+
+    Without a command it is the screen. Options count for the command behind them as well.
+    """
+    if context.invoked_subcommand is not None:
+        return
+    if sys.stdin.isatty() and sys.stdout.isatty():
+        screen(fps, threshold, theme, keys, log, connect, site, config, operator)
+    else:
+        typer.echo(context.get_help())
+
+
+@app.command()
+def screen(
+    fps: Fps = 10.0,
+    threshold: Threshold = None,
+    theme: Theme = "auto",
+    keys: KeysFile = None,
+    log: LogFile = None,
+    connect: c.Connect = c.DEFAULT_CONNECT,
+    site: c.Site = c.DEFAULT_SITE,
+    config: c.Config = None,
+    operator: c.Operator = "",
+) -> None:
+    """Shows map, errors and images; q quits."""
+    from hmi_client.tui.run import run_screen
+
+    run_screen(c.Connection.of(connect, site, config, operator), fps, threshold, log, theme, keys)
+
+
+@app.command()
+def screenshot(
+    out: Annotated[Path, typer.Option(help="the SVG file")],
+    size: Annotated[str, typer.Option(help="columns x rows")] = "160x50",
+    after: Annotated[float, typer.Option(help="seconds to wait at most", min=0.0)] = 10.0,
+    pair: Annotated[str, typer.Option(help="R1,R2; default: the first question's")] = "",
+    maximise: Annotated[bool, typer.Option(help="show the images only")] = False,
+    theme: Theme = "auto",
+    threshold: Threshold = None,
+    connect: c.Connect = c.DEFAULT_CONNECT,
+    site: c.Site = c.DEFAULT_SITE,
+    config: c.Config = None,
+    operator: c.Operator = "",
+) -> None:
+    """Draws the screen into an SVG as soon as poses and images are there."""
+    from hmi_client.tui.drawing import palette
+    from hmi_client.tui.run import take_screenshot
+
+    columns, rows = size_of(size)
+    where = c.Connection.of(connect, site, config, operator)
+    palette.use(palette.theme_for(theme))
+    complete = take_screenshot(where, out, (columns, rows), after, pair, maximise, threshold)
+    missing = "" if complete else f" (after {after:.0f} s not everything had arrived)"
+    typer.echo(f"{out}{missing}")
+
+
+@app.command("keys")
+def show_keys(keys: KeysFile = None) -> None:
+    """Prints the keys of all commands, as a file that you can change and use (--keys)."""
+    from hmi_client.tui.run import keymap_of
+
+    typer.echo(keymap_of(keys).as_toml(), nl=False)
+
+
+@app.command()
+def watch(
+    seconds: Annotated[float | None, typer.Option(help="stop after; default: Ctrl-C")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON lines")] = False,
+    connect: c.Connect = c.DEFAULT_CONNECT,
+    site: c.Site = c.DEFAULT_SITE,
+    config: c.Config = None,
+    operator: c.Operator = "",
+) -> None:
+    """Prints poses, errors of pairs and events as they change."""
+    from hmi_client.cli.reports import Watcher, sentence
+
+    where = c.Connection.of(connect, site, config, operator)
+    with suppress(KeyboardInterrupt), where.server() as session:
+        watcher = Watcher(session)
+        end = None if seconds is None else time.monotonic() + seconds
+        while end is None or time.monotonic() < end:
+            seen = session.revisions()
+            for record in watcher.news():
+                typer.echo(json.dumps(record) if as_json else sentence(record))
+            left = 0.5 if end is None else min(0.5, max(end - time.monotonic(), 0.0))
+            session.wait_change(seen, ("poses", "fleet", "events"), left)
+
+
+@app.command()
+def status(
+    connect: c.Connect = c.DEFAULT_CONNECT,
+    site: c.Site = c.DEFAULT_SITE,
+    config: c.Config = None,
+    operator: c.Operator = "",
+) -> None:
+    """Prints the server's load, the robots and what is asked; exit code 3 without a server."""
+    from hmi_client.cli.reports import status_text
+
+    with c.Connection.of(connect, site, config, operator).server() as session:
+        session.wait_change({}, ("status",), 2.0)
+        typer.echo(status_text(session))
+
+
+@app.command()
+def why(
+    robot: Annotated[str, typer.Argument(help="a robot's name")],
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON")] = False,
+    connect: c.Connect = c.DEFAULT_CONNECT,
+    site: c.Site = c.DEFAULT_SITE,
+    config: c.Config = None,
+    operator: c.Operator = "",
+) -> None:
+    """Says why a robot is located (exit code 0) or not (1), and what to do next."""
+    from hmi_client.cli.clicking import wait_for_sets
+    from hmi_client.cli.why import tried_pairs, why_record, why_text
+    from protocol.transport import wait_until
+
+    with c.Connection.of(connect, site, config, operator).client_of_server() as client:
+        session = client.session
+        session.robot(robot)
+        wait_for_sets(session)
+        tried = set(tried_pairs(session, robot))
+        wait_until(lambda: tried <= set(session.alignments(robot)), ALIGNMENTS_S, poll_s=0.1)
+        record = why_record(session, robot, session.alignments(robot))
+    typer.echo(json.dumps(record, indent=1) if as_json else why_text(record))
+    raise typer.Exit(0 if record["located"] else 1)
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """Parses COLUMNSxROWS.
+
+    Raises:
+        OperatorError: it is none, or too small to show anything.
+    """
+    try:
+        columns, rows = (int(number) for number in text.lower().split("x"))
+    except ValueError:
+        columns, rows = 0, 0
+    if not (40 <= columns <= 500 and 15 <= rows <= 200):
+        raise OperatorError(f"'{text}' is no size: write e.g. 160x50 (40x15 to 500x200)")
+    return columns, rows

@@ -1,0 +1,125 @@
+"""How the commands reach the fleet: the options they share, and a connected session."""
+
+import getpass
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hmi_client.cli.options import given_before
+from hmi_client.errors import NoServerError
+
+if TYPE_CHECKING:
+    from hmi_client.model.session import OperatorSession
+    from hmi_client.network.client import Client
+    from hmi_client.recording.file import Recorder
+
+SERVER_TIMEOUT_S = 5.0
+
+Connect = Annotated[
+    list[str],
+    typer.Option(
+        help="endpoint of the router, repeatable",
+        envvar="FLEETPOSE_HMI_CONNECT",
+        callback=given_before,
+    ),
+]
+Site = Annotated[
+    str,
+    typer.Option(help="name of the site", envvar="FLEETPOSE_HMI_SITE", callback=given_before),
+]
+Config = Annotated[
+    Path | None,
+    typer.Option(
+        help="zenoh configuration (JSON5), replaces --connect",
+        envvar="FLEETPOSE_HMI_CONFIG",
+        callback=given_before,
+    ),
+]
+Operator = Annotated[
+    str,
+    typer.Option(
+        help="who you are; default: the user's name",
+        envvar="FLEETPOSE_HMI_OPERATOR",
+        callback=given_before,
+    ),
+]
+DEFAULT_CONNECT = ["tcp/127.0.0.1:7447"]
+DEFAULT_SITE = "demo"
+
+
+@dataclass(frozen=True)
+class Connection:
+    """Where the fleet is and who operates."""
+
+    connect: tuple[str, ...]
+    site: str
+    config: Path | None
+    operator: str
+
+    @classmethod
+    def of(cls, connect: list[str], site: str, config: Path | None, operator: str) -> "Connection":
+        return cls(tuple(connect), site, config, operator or default_operator())
+
+    def client(
+        self,
+        session: "OperatorSession",
+        timeout_s: float = SERVER_TIMEOUT_S,
+        recorder: "Recorder | None" = None,
+        each_pose: bool = True,
+    ) -> "Client":
+        """A client that is not started yet; opening the link gives up after the timeout. With a
+        recorder, all that passes is recorded.
+        """
+        from hmi_client.network.client import Client
+        from hmi_client.recording.link import RecordedLink
+        from protocol.keys import Keys
+        from protocol.transport import Link, SessionSettings, open_session
+
+        settings = SessionSettings(
+            connect=self.connect, config_file=self.config, timeout_s=timeout_s
+        )
+
+        def open_link() -> Link:
+            link = Link(open_session(settings))
+            return link if recorder is None else RecordedLink(link, recorder)
+
+        return Client(session, Keys(self.site), open_link, each_pose)
+
+    @contextmanager
+    def server(self) -> Iterator["OperatorSession"]:
+        """A session that a server has been heard in.
+
+        Raises:
+            NoServerError: none was heard within 5 seconds.
+        """
+        with self.client_of_server() as client:
+            yield client.session
+
+    @contextmanager
+    def client_of_server(self) -> Iterator["Client"]:
+        """The same with the client around the session."""
+        from hmi_client.model.session import OperatorSession
+
+        session = OperatorSession(self.operator)
+        with self.client(session) as client:
+            if not session.wait_change({}, ("fleet",), SERVER_TIMEOUT_S):
+                where = self.config or ", ".join(self.connect)
+                raise NoServerError(
+                    f"no pose server of site '{self.site}' answered at {where} in "
+                    f"{SERVER_TIMEOUT_S:.0f} s; is 'pose-server run' running there?"
+                )
+            yield client
+
+
+def default_operator() -> str:
+    """The user's name as a chunk of a key."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # no entry in the password file, as in some containers
+        user = ""
+    return re.sub(r"[^a-z0-9_-]", "-", user.lower())[:32] or "operator"

@@ -1,0 +1,184 @@
+"""Between zenoh and the session: what arrives goes into the session, what was done goes out.
+
+Callbacks open what came and store it. Three threads work: one reads, one sends
+(`hmi_client.network.sender`), and one asks for views (`hmi_client.network.view_requests`).
+"""
+
+import logging
+import threading
+from collections.abc import Callable
+
+from hmi_client.model.records import Picture
+from hmi_client.model.session import OperatorSession
+from hmi_client.network.intake import Intake
+from hmi_client.network.message_decoder import Arrived
+from hmi_client.network.sender import Sender
+from hmi_client.network.view_requests import Fetcher
+from protocol.drops import Drops
+from protocol.errors import FleetPoseError, UnreachableError
+from protocol.keys import Keys
+from protocol.messages import ViewName
+from protocol.presence import LiveServer
+from protocol.transport import Link, Sample, Slots
+
+log = logging.getLogger(__name__)
+
+
+class Client:
+    """Connects a session to the fleet; use it in a `with`, or `start` and `close` it.
+
+    Args:
+        session: where everything goes.
+        keys: the keys of the site.
+        open_link: opens the connection; it is retried when it fails in the background.
+        each_pose: hear each pose as it is told; else the state, which tells the newest of all, is
+            enough.
+    """
+
+    def __init__(
+        self,
+        session: OperatorSession,
+        keys: Keys,
+        open_link: Callable[[], Link],
+        each_pose: bool = True,
+    ) -> None:
+        self.session = session
+        self.keys = keys
+        self.failure: Exception | None = None
+        self._open_link = open_link
+        self._each_pose = each_pose
+        self._link: Link | None = None
+        self._server: LiveServer | None = None
+        self._intake = Intake(session, keys)
+        self._inbox: Slots[Arrived] = Slots()
+        self._stop = threading.Event()
+        self._threads: list[threading.Thread] = []
+
+    def start(self) -> None:
+        """Connects and begins.
+
+        Raises:
+            UnreachableError: there is no router.
+        """
+        self._connect(self._open_link())
+
+    def start_in_background(self) -> None:
+        """Begins at once and connects as soon as there is a router."""
+        self._run("hmi connect", self._connect_when_possible)
+
+    def close(self) -> None:
+        """Ends the threads and the connection."""
+        self._stop.set()
+        self._inbox.close()
+        for thread in self._threads:
+            thread.join(timeout=5.0)
+        if self._link is not None:
+            self._link.close()
+
+    def __enter__(self) -> "Client":
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+        if self.failure is not None:
+            raise self.failure
+
+    @property
+    def drops(self) -> Drops:
+        """What arrived and could not be used, by reason."""
+        return self.session.drops
+
+    @property
+    def replaced(self) -> int:
+        """How many samples were overtaken by newer ones before they were read."""
+        return self._inbox.replaced
+
+    # ---- connecting ------------------------------------------------------------------------------
+
+    def _run(self, name: str, target: Callable[[], None]) -> None:
+        thread = threading.Thread(name=name, target=self._guarded, args=(target,), daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def _guarded(self, target: Callable[[], None]) -> None:
+        try:
+            target()
+        except Exception as error:  # a bug: whoever shows the session must end and tell it
+            if not self._stop.is_set():
+                log.exception("%s failed", threading.current_thread().name)
+                self.failure = error
+
+    def _connect_when_possible(self) -> None:
+        while not self._stop.is_set():
+            try:
+                link = self._open_link()
+            except UnreachableError as error:
+                log.info("%s", error)
+                self._stop.wait(0.5)
+                continue
+            if self._stop.is_set():
+                link.close()
+            else:
+                self._connect(link)
+            return
+
+    def _connect(self, link: Link) -> None:
+        self._link, self._server = link, LiveServer(link, self.keys)
+        operator = self.session.operator
+        for key in (
+            self.keys.state,
+            self.keys.status,
+            *((self.keys.poses,) if self._each_pose else ()),
+            self.keys.correspondences("*", "*"),
+            self.keys.receipts(operator),
+            self.keys.selection("*"),
+            self.keys.camera("*"),
+            self.keys.alignment("*", "*"),
+        ):
+            link.on_latched(key, self._arrived)
+        sender = Sender(self.session, self.keys, link, self._arrived)
+        self._run("hmi read", self._read)
+        self._run("hmi send", lambda: sender.run(self._stop))
+        fetcher = Fetcher(self.session, self.keys, link)
+        self._run("hmi fetch", lambda: fetcher.run(self._stop))
+
+    # ---- reading ---------------------------------------------------------------------------------
+
+    def _arrived(self, sample: Sample) -> None:
+        """Opens what came, in the subscriber's thread: so nothing damaged takes the place of
+        something good that waits to be read. Nor does what another process says for the server.
+        """
+        self._survive(sample.key, lambda: self._inbox.store(self._opened(sample)))
+
+    def _opened(self, sample: Sample) -> Arrived:
+        arrived = self._intake.open(sample)
+        epoch = getattr(arrived.content, "server_epoch", None)
+        if epoch is not None and self._server is not None:
+            self._server.check(epoch, f"a {type(arrived.content).__name__}")
+        return arrived
+
+    def _read(self) -> None:
+        while not self._stop.is_set():
+            arrived = self._inbox.take(0.5)
+            if arrived is not None:
+                self._survive(arrived.key, lambda one=arrived: self._intake.tell(one.content))
+
+    def _survive(self, key: str, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except FleetPoseError as error:
+            self.session.drop(key, error)
+
+    # ---- asking for views ------------------------------------------------------------------------
+
+    def fetch_picture(self, view: ViewName) -> Picture:
+        """Asks for the image of a view; see `Fetcher.picture`.
+
+        Raises:
+            UnreachableError: nobody answers, or nobody has it any more.
+            PictureError: what was answered is no image of it.
+        """
+        if self._link is None:
+            raise UnreachableError("not connected to a router yet")
+        return Fetcher(self.session, self.keys, self._link).picture(view)

@@ -1,0 +1,396 @@
+"""The right panel: one image of the selected pair, a cursor in image pixels and a loupe."""
+
+import math
+from contextlib import suppress
+from dataclasses import replace
+from textwrap import wrap
+
+from rich.segment import Segment
+from textual import events
+from textual.message import Message
+from textual.strip import Strip
+
+from hmi_client.assist.pick_assist import Expected, Guide
+from hmi_client.errors import OperatorError, PictureError
+from hmi_client.model.jpeg import frame_of
+from hmi_client.model.picture_decoder import decoded
+from hmi_client.model.records import Entry, Picture, PixelUV
+from hmi_client.model.session import OperatorSession
+from hmi_client.tui import bindings
+from hmi_client.tui.drawing.arrangement import Arrangement, arrange, fit
+from hmi_client.tui.drawing.cells import (
+    FINE_BITS,
+    LIVE_BITS,
+    HalfBlocks,
+    Image,
+    Rows,
+    Window,
+    sample,
+    steadied,
+)
+from hmi_client.tui.drawing.hints import LETTERS, MOST, Hints
+from hmi_client.tui.drawing.overlay import Overlay
+from hmi_client.tui.drawing.palette import style
+from hmi_client.tui.panels.panel import Panel
+from protocol.messages import ViewName
+
+# A half cell of the image is a mean over many pixels; the shades of live images are coarser yet.
+NOISE_LEVELS = {"image": 16, "loupe": 24}
+
+
+class ImagePanel(Panel):
+    """The picture of robot i (side 0) or j (side 1) of the selected pair."""
+
+    TOPICS = ("pictures", "selection", "correspondences", "depths")
+    BINDINGS = bindings.IMAGES  # pyright: ignore[reportAssignmentType]
+
+    class Picked(Message):
+        """A point was picked in this panel; `complete` if it was the second one."""
+
+        def __init__(self, side: int, complete: bool) -> None:
+            super().__init__()
+            self.side, self.complete = side, complete
+
+    class Suggestion(Message):
+        """The suggestion that is shown was accepted (step 1) or is to be skipped (-1); without one
+        the first is wanted.
+        """
+
+        def __init__(self, step: int) -> None:
+            super().__init__()
+            self.step = step
+
+    def __init__(self, session: OperatorSession, guide: Guide, side: int) -> None:
+        super().__init__(id=f"image{side}", classes="image")
+        self.session = session
+        self.guide = guide
+        self.side = side
+        self.expected: Expected | None = None
+        self.hints: Hints | None = None
+        self.cursor: PixelUV = (0.0, 0.0)
+        self.zoom = 1.0
+        self._robot: str | None = None
+        self._picture: Picture | None = None
+        self._image: Image | None = None
+        self._scale = 1
+        self._halved = False
+        self._centre: PixelUV = (0.0, 0.0)
+        self._window: Window | None = None
+        self._loupe: Window | None = None
+        self._arrangement: Arrangement | None = None
+        self._shown_of: dict[str, tuple[Window, Image]] = {}
+        self._rows_of: dict[str, Rows] = {}
+        self._drawn_of: object = None
+        self._drawn: list[Strip] = []
+
+    # ---- what is shown ---------------------------------------------------------------------------
+
+    @property
+    def _view(self) -> ViewName | None:
+        return self._picture.view if self._picture else None
+
+    @property
+    def image_size(self) -> tuple[int, int] | None:
+        """Width and height in full-resolution pixels."""
+        if self._image is None:
+            return None
+        return self._image.shape[1] * self._scale, self._image.shape[0] * self._scale
+
+    def _may_halve(self, picture: Picture | None) -> bool:
+        """Whether nobody looks that closely: a live picture beside the one that has the keys."""
+        if picture is None or self.has_focus or self.session.frozen:
+            return False
+        with suppress(PictureError):  # `decoded` will say what is wrong
+            frame = frame_of(picture.jpeg)
+            return frame.width % 2 == 0 and frame.height % 2 == 0
+        return False
+
+    def _load(self) -> None:
+        """Decodes the picture if it is another one than before."""
+        pair = self.session.pair
+        robot = pair[self.side] if pair else None
+        picture = self.session.picture(robot) if robot else None
+        if robot != self._robot:
+            self._robot, self._image, self._picture = robot, None, None
+            self._shown_of.clear()
+        halved = self._may_halve(picture)
+        if picture is None or (picture.view == self._view and (halved or not self._halved)):
+            return
+        first = self._image is None
+        try:
+            self._image = decoded(picture, halved)
+        except PictureError as error:
+            self._image, self._picture = None, None
+            self.session.drop(f"image of {robot}", error)
+            self.session.on_unreadable(picture.view.robot, str(error), picture.view)
+            return
+        self._picture, self._halved = picture, halved
+        self._scale = picture.scale * (2 if halved else 1)
+        if first and self.image_size is not None:
+            self.zoom = 1.0
+            self.cursor = (self.image_size[0] // 2, self.image_size[1] // 2)
+            self._centre = self.cursor
+
+    def paint(self) -> list[Strip]:
+        self._load()
+        self._titles()
+        columns, rows = self.extent
+        if self._image is None or self.image_size is None:
+            self._window = self._loupe = None
+            return self._waiting(columns, rows)
+        width, height = self.image_size
+        place = self._arrangement = arrange(columns, rows - 1, width / height)
+        self._window = fit(place, self.image_size, self.zoom, self._centre)
+        over, about = self._overlay(), self._about(columns)
+        depths = self.session.depths(self._robot) if self._robot else None
+        known = depths.view if depths is not None else None
+        shown = (self._view, self._window, over, self._bits, known)
+        if shown != self._drawn_of:
+            self._drawn_of, self._drawn = shown, self._draw(self._image, place, over)
+        return [*self._drawn, about]
+
+    def _draw(self, image: Image, place: Arrangement, over: Overlay) -> list[Strip]:
+        """The image and, beside or below it, the loupe."""
+        assert self._window is not None
+        picture = HalfBlocks(self._steady("image", image, self._window), self._bits)
+        over.draw(picture, self._window)
+        rows = self._rows("image", picture)
+        if place.loupe is None:
+            self._loupe = None
+            return rows.strips
+        left, _, loupe_columns, loupe_rows = place.loupe
+        loupe = self._paint_loupe(over, loupe_columns, loupe_rows)
+        if left == 0:
+            return [*rows.strips, *loupe.strips]
+        gap = Strip.blank(1, style("dim"))
+        both = self._rows_of["both"] = rows.beside(loupe, gap, self._rows_of.get("both"))
+        return both.strips
+
+    def _rows(self, part: str, picture: HalfBlocks) -> Rows:
+        """The strips of a part; what has not changed is not made anew."""
+        rows = self._rows_of[part] = picture.rows(self._rows_of.get(part))
+        return rows
+
+    @property
+    def _bits(self) -> int:
+        """Nobody sees fine shades in what changes five times a second; a slow line feels them."""
+        return FINE_BITS if self.session.frozen else LIVE_BITS
+
+    def _steady(self, part: str, image: Image, window: Window) -> Image:
+        """What a window shows of the image, without flickering; exactly while it is held still."""
+        seen = sample(image, window, self._scale)
+        before, shown = self._shown_of.get(part, (None, None))
+        if before == window and not self.session.frozen:
+            seen = steadied(seen, shown, NOISE_LEVELS[part])
+        self._shown_of[part] = window, seen
+        return seen
+
+    def _titles(self) -> None:
+        frozen = "  FROZEN" if self.session.frozen else ""
+        keeping = self.session.keeping(self._robot) if self._robot else ""
+        self.title(f"{self._robot or 'no robot'}{frozen}{keeping and '  ' + keeping}")
+
+    def _about(self, columns: int) -> Strip:
+        """The last line: where the cursor is and in which view. A border's text would do, but
+        setting one repaints the whole panel.
+        """
+        u, v = self.cursor
+        place = f"{u:.0f}, {v:.0f} px" + (f"  x{self.zoom:.1f}" if self.zoom > 1 else "")
+        notice = self.session.picture_notice(self._robot) if self._robot else ""
+        view = f"view {self._view.seq}" if self._view else ""
+        here = self._expected_here()
+        expected = "" if here is None else f"  ◇ {here.how}"
+        text = (notice or place + self._depth_note() + expected)[:columns]
+        shown = f"{text.ljust(columns - len(view) - 1)} {view}" if notice == "" else text
+        return Strip([Segment(shown[:columns].ljust(columns), style("dim"))], columns)
+
+    def _depth_note(self) -> str:
+        """What is known of the depth under the cursor."""
+        depths = self.session.depths(self._robot) if self._robot else None
+        nearest = depths.nearest(self.cursor) if depths is not None else None
+        if depths is None or (nearest is not None and nearest.distance_px <= depths.reach_px):
+            return "" if nearest is None else f"  {nearest.z:.2f} m"
+        far = "none near" if nearest is None else f"{nearest.distance_px:.0f} px away"
+        return f"  no depth: {far}"
+
+    def _waiting(self, columns: int, rows: int) -> list[Strip]:
+        """Why there is no image, over as many lines as it takes."""
+        text = "select two robots"
+        if self._robot:
+            text = self.session.picture_notice(self._robot)
+            text = text or f"waiting for the image of {self._robot}"
+        said = wrap(text, columns)[:rows]
+        lines = [Strip.blank(columns, style("dim"))] * rows
+        for row, line in enumerate(said, start=(rows - len(said)) // 2):
+            lines[row] = Strip([Segment(line.center(columns), style("dim"))], columns)
+        return lines
+
+    def _overlay(self) -> Overlay:
+        half = self.session.half
+        return Overlay(
+            view=self._view,
+            side=self.side,
+            cursor=self.cursor,
+            focused=self.has_focus,
+            entries=self.session.entries(),
+            half=half.pixel if half is not None and half.side == self.side else None,
+            expected=self._expected_here(),
+            hints=self.hints,
+        )
+
+    def _expected_here(self) -> Expected | None:
+        """Where the other half of a pick is expected, if that is in this image."""
+        half, expected = self.session.half, self.expected
+        here = half is not None and expected is not None and expected.side == self.side
+        return expected if here else None
+
+    def nearest(self) -> Entry | None:
+        """The confirmed correspondence whose marker is nearest to the cursor."""
+        named = [(p, entry) for _, p, entry in self._overlay().markers() if entry.id is not None]
+        if not named:
+            return None
+        return min(named, key=lambda item: math.dist(item[0], self.cursor))[1]
+
+    def _paint_loupe(self, over: Overlay, columns: int, rows: int) -> Rows:
+        """One full-resolution pixel per half cell, the cursor in the middle."""
+        assert self._image is not None
+        u, v = (round(x) for x in self.cursor)
+        self._loupe = Window(u - columns // 2, v - rows, 1.0, columns, rows)
+        loupe = HalfBlocks(self._steady("loupe", self._image, self._loupe), self._bits)
+        depths = self.session.depths(self._robot) if self._robot else None
+        if depths is not None and depths.scattered:
+            over = replace(over, depth=depths.within(u, v, columns // 2 + 1, rows + 1))
+        over.draw_loupe(loupe, self._loupe)
+        return self._rows("loupe", loupe)
+
+    # ---- cursor ----------------------------------------------------------------------------------
+
+    def move_to(self, u: float, v: float) -> None:
+        """Puts the cursor on a pixel, inside the image, and keeps it in sight."""
+        if self.image_size is None or self._arrangement is None:
+            return
+        width, height = self.image_size
+        self.cursor = u, v = min(max(u, 0.0), width - 1.0), min(max(v, 0.0), height - 1.0)
+        window = fit(self._arrangement, self.image_size, self.zoom, self._centre)
+        column, half_row = window.half_cell(u, v)
+        aside = not window.columns * 0.1 <= column < window.columns * 0.9
+        above = not window.rows * 0.2 <= half_row < window.rows * 1.8
+        if aside or above:
+            self._centre = (u, v)
+        self.repaint()
+
+    def action_move(self, du: int, dv: int) -> None:
+        self.move_to(round(self.cursor[0]) + du, round(self.cursor[1]) + dv)
+
+    def action_zoom(self, factor: float) -> None:
+        self.zoom = min(max(self.zoom * factor, 1.0), 64.0)
+        self._centre = self.cursor
+        self.repaint()
+
+    def action_fit(self) -> None:
+        self.zoom = 1.0
+        self.repaint()
+
+    def action_pick(self) -> None:
+        try:
+            ticket = self.session.pick(self.side, self.cursor, self._picture)
+        except OperatorError as error:
+            self._tell(error)
+            return
+        self.post_message(self.Picked(self.side, ticket is not None))
+
+    # ---- help for the hand -----------------------------------------------------------------------
+
+    def action_snap(self) -> None:
+        """The cursor goes to the corner, or the point with depth, that is nearest."""
+        try:
+            self.session.hold_still(self._picture)
+            self.move_to(*self.guide.snap(self.side, self.cursor))
+        except OperatorError as error:
+            self._tell(error)
+
+    def action_hint(self) -> None:
+        """Labels appear over places worth a pick; typing one puts the cursor there."""
+        if self._window is None:
+            return
+        self.session.hold_still(self._picture)
+        px = self._window.px_per_half
+        places = self.guide.places(self.side, 4 * px, 4 * px, MOST)
+        shown = [place for place in places if self._is_in_sight(place)]
+        self.hints = Hints.of(shown) if shown else None
+        if not shown:
+            self.notify("There is nothing here that stands out: use the arrows.", timeout=3)
+        self.repaint()
+
+    def on_key(self, event: events.Key) -> None:
+        """While labels are shown, letters choose one; any other key takes them away."""
+        if self.hints is None:
+            return
+        event.stop()
+        event.prevent_default()
+        if event.character is not None and event.character in LETTERS:
+            self.hints = self.hints.type(event.character)
+            chosen = self.hints.chosen
+            if chosen is not None:
+                self.hints = None
+                self.move_to(*chosen)
+        else:
+            self.hints = None
+        self.repaint()
+
+    def on_blur(self) -> None:
+        self.hints = None
+        super().on_blur()
+
+    def action_suggestion(self, step: int) -> None:
+        self.post_message(self.Suggestion(step))
+
+    def action_move_point(self) -> None:
+        """The nearest correspondence moves to the cursor; only in the view that it was clicked in,
+        since the same pixel of another moment shows something else.
+        """
+        entry, pair = self.nearest(), self.session.pair
+        if entry is None or entry.id is None or pair is None:
+            self.notify("There is no confirmed point here to move.", timeout=3)
+            return
+        if not self._overlay().is_of_this_view(entry):
+            what = f"Point {entry.id} was clicked in another view: choose it in the list to see it."
+            self.notify(what, severity="warning", timeout=4)
+            return
+        try:
+            self.session.move(pair, entry.id, self.side, self.cursor)
+        except OperatorError as error:
+            self._tell(error)
+
+    def _is_in_sight(self, pixel: PixelUV) -> bool:
+        assert self._window is not None
+        column, half_row = self._window.half_cell(*pixel)
+        return 0 <= column < self._window.columns - 1 and 0 <= half_row < 2 * self._window.rows
+
+    def _tell(self, error: OperatorError) -> None:
+        self.notify(str(error), severity="warning", timeout=4)
+
+    # ---- mouse -----------------------------------------------------------------------------------
+
+    def on_click(self, event: events.Click) -> None:
+        """A click in the image moves the cursor there; a click in the loupe picks that pixel."""
+        offset = event.get_content_offset(self)
+        if offset is None or self._window is None or self._arrangement is None:
+            return
+        loupe = self._arrangement.loupe
+        x, y = offset.x - loupe[0] if loupe else 0, offset.y - loupe[1] if loupe else 0
+        if loupe and 0 <= x < loupe[2] and 0 <= y < loupe[3] and self._loupe:
+            u, v = self._loupe.pixel(x, 2 * y)
+            self.move_to(round(u), round(v))
+            self.action_pick()
+        elif offset.x < self._arrangement.columns and offset.y < self._arrangement.rows:
+            u, v = self._window.pixel(offset.x, 2 * offset.y + 0.5)
+            self.move_to(round(u), round(v))
+
+    def on_mouse_scroll_up(self, event: events.MouseScrollUp) -> None:
+        event.stop()
+        self.action_zoom(1.5)
+
+    def on_mouse_scroll_down(self, event: events.MouseScrollDown) -> None:
+        event.stop()
+        self.action_zoom(1 / 1.5)

@@ -1,0 +1,224 @@
+"""Running the text client: on a terminal, or without one for a picture of it."""
+
+import asyncio
+import ctypes
+import gc
+import logging
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, redirect_stderr
+from pathlib import Path
+
+from hmi_client.cli.connection import Connection
+from hmi_client.errors import OperatorError
+from hmi_client.model.session import OperatorSession
+from hmi_client.network.update_log import KeptUpdates
+from hmi_client.recording.file import Recorder
+from hmi_client.tui.app import FleetApp
+from hmi_client.tui.bindings import KeyMap
+from hmi_client.tui.drawing import palette
+from hmi_client.tui.terminal.driver import PatientDriver
+from protocol.keys import checked_name
+from protocol.logs import log_to_file
+
+log = logging.getLogger(__name__)
+_M_ARENA_MAX = -8  # of glibc's malloc.h
+
+RETRY_TIMEOUT_S = 2.0  # per attempt to reach the router; the screen is there meanwhile
+
+
+def run_screen(
+    where: Connection,
+    fps: float,
+    threshold_m: float | None,
+    log: Path | None,
+    theme: palette.Choice = "auto",
+    keys: Path | None = None,
+    record: Path | None = None,
+) -> None:
+    """Runs the app until the operator quits; it also starts without a router and waits for one.
+
+    Args:
+        where: the fleet and the operator.
+        fps: how often the session is looked at.
+        threshold_m: errors above it are hidden; default: a share of the scene's depth.
+        log: the log file; default: in the state folder.
+        theme: the colours.
+        keys: a file of keys; default: that in the user's config folder, if there is one.
+        record: a file that all messages are recorded in.
+
+    Raises:
+        OperatorError: the log or the recording cannot be written, or the keys are not right.
+    """
+    palette.use(palette.theme_for(theme))
+    keymap = keymap_of(keys)
+    _spare()
+    with ExitStack() as closing:
+        closing.enter_context(own_screen(log))
+        kept = own_updates(where)
+        if kept is not None:
+            closing.callback(kept.close)
+        recorder = Recorder(record, where.site, where.operator) if record is not None else None
+        if recorder is not None:
+            closing.callback(recorder.close)
+        session = OperatorSession(where.operator, threshold_m=threshold_m, kept=kept)
+        # the map is painted twice a second: poses as fast as they come would be opened in vain
+        client = where.client(session, RETRY_TIMEOUT_S, recorder, each_pose=False)
+        closing.callback(client.close)
+        client.start_in_background()
+        app = FleetApp(session, fps, lambda: client.failure, PatientDriver, keymap)
+        palette.has(app.console.color_system)
+        app.run()
+    if recorder is not None:
+        print(recorder.report())
+
+
+def _spare() -> None:
+    """Painting makes garbage by the tens of thousands a second, next to none of it in cycles: the
+    collector looks rarely, and never at what is there from the start. glibc gives each thread a
+    heap of its own; one for all takes less memory.
+    """
+    gc.freeze()
+    gc.set_threshold(50_000, 10, 100)
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "mallopt"):
+        libc.mallopt(_M_ARENA_MAX, 1)
+
+
+@contextmanager
+def own_screen(log: Path | None) -> Iterator[None]:
+    """The terminal is the screen's alone; what else is said goes to the log (default: in the state
+    folder).
+    """
+    log = log or default_log()
+    own_log(log)
+    with own_stderr(log):
+        yield
+
+
+def take_screenshot(
+    where: Connection,
+    out: Path,
+    size: tuple[int, int],
+    timeout_s: float,
+    pair: str,
+    maximise: bool,
+    threshold_m: float | None,
+) -> bool:
+    """Writes an SVG of the screen; whether poses and both images had arrived by then.
+
+    Raises:
+        NoServerError: no server was heard.
+        OperatorError: the pair is no pair of known robots.
+    """
+    robots = pair.split(",") if pair else []
+    if len(robots) not in (0, 2):
+        raise OperatorError(f"'{pair}' is no pair: write R1,R2")
+    with where.server() as session:
+        if threshold_m is not None:
+            session.set_threshold(threshold_m)
+        if robots:
+            session.select(robots[0], robots[1])
+        else:
+            session.next_question()
+        svg, complete = asyncio.run(_draw(session, size, timeout_s, maximise))
+    try:
+        out.write_text(svg, encoding="utf-8")
+    except OSError as error:
+        raise OperatorError(f"{out} cannot be written: {error.strerror}") from error
+    return complete
+
+
+async def _draw(
+    session: OperatorSession, size: tuple[int, int], timeout_s: float, maximise: bool
+) -> tuple[str, bool]:
+    app = FleetApp(session)
+    end = time.monotonic() + timeout_s
+    async with app.run_test(size=size) as pilot:
+        await pilot.pause(0.1)
+        if session.pair is not None:
+            app.images[0].focus()
+        if maximise:
+            app.action_maximise()
+        while not is_complete(session) and time.monotonic() < end:
+            await pilot.pause(0.1)
+        for panel in app.panels:
+            panel.repaint()
+        await pilot.pause(0.3)
+        for _ in range(20):  # the footer is composed anew after each change of focus
+            if app.query("FooterKey"):
+                break
+            await pilot.pause(0.1)
+        return app.export_screenshot(title="fleetpose"), is_complete(session)
+
+
+def is_complete(session: OperatorSession) -> bool:
+    """Whether poses and, with a pair selected, both images are there."""
+    images = all(session.picture(robot) is not None for robot in session.pair or ())
+    return bool(session.poses()) and images
+
+
+def keymap_of(path: Path | None) -> KeyMap:
+    """The keys by a file, or by that in the user's config folder if there is one.
+
+    Raises:
+        OperatorError: the file is not right.
+    """
+    config = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
+    usual = Path(config) / "fleetpose" / "keys.toml"
+    if path is None and not usual.exists():
+        return KeyMap({})
+    return KeyMap.read(path or usual)
+
+
+def default_log() -> Path:
+    """The log file in the user's state folder."""
+    return state_folder() / "hmi-client.log"
+
+
+def state_folder() -> Path:
+    """Where the client keeps what outlives it."""
+    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(state) / "fleetpose"
+
+
+def own_updates(where: Connection) -> KeptUpdates | None:
+    """The operator's file of updates on their way, None while another client has it."""
+    name = f"updates-{checked_name(where.site)}-{checked_name(where.operator)}.sqlite"
+    try:
+        return KeptUpdates(state_folder() / name)
+    except OperatorError as error:
+        log.warning("clicks on their way do not outlive a crash: %s", error)
+        return None
+
+
+def own_log(path: Path) -> None:
+    """Sends all logging to a file: anything on stderr would be drawn over the screen.
+
+    Raises:
+        OperatorError: the file cannot be written.
+    """
+    try:
+        log_to_file(path)
+    except OSError as error:
+        raise OperatorError(f"log file {path} cannot be written: {error.strerror}") from error
+
+
+@contextmanager
+def own_stderr(log: Path) -> Iterator[None]:
+    """Keeps stderr for the screen, which is drawn there: what libraries in C write to descriptor 2
+    themselves, such as the JPEG decoder's complaints, goes to the log.
+    """
+    before, real = sys.__stderr__, os.dup(2)
+    with log.open("ab") as file, os.fdopen(real, "w", encoding="utf-8") as screen:
+        os.dup2(file.fileno(), 2)
+        sys.__dict__["__stderr__"] = screen
+        try:
+            with redirect_stderr(screen):
+                yield
+        finally:
+            screen.flush()
+            sys.__dict__["__stderr__"] = before
+            os.dup2(real, 2)

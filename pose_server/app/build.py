@@ -1,0 +1,71 @@
+"""Builds a service from its settings."""
+
+import logging
+import os
+from pathlib import Path
+
+# one thread per process: the workers are the parallelism
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+from pose_server.app.service import Service  # noqa: E402
+from pose_server.correspondences.journal import Journal  # noqa: E402
+from pose_server.geometry.errors import MissingLibraryError  # noqa: E402
+from pose_server.geometry.icp import open3d  # noqa: E402
+from pose_server.persistence.graph_writer import stored_graph  # noqa: E402
+from pose_server.persistence.restore import folder_files, restored_site  # noqa: E402
+from pose_server.scheduling.settings import Weights  # noqa: E402
+from pose_server.settings import ServerSettings  # noqa: E402
+from protocol.errors import FleetPoseError  # noqa: E402
+from protocol.keys import checked_name, ordered_pair  # noqa: E402
+from protocol.logs import log_to_stderr  # noqa: E402
+from protocol.transport import Link, SessionSettings, open_session  # noqa: E402
+
+log = logging.getLogger("pose_server")
+
+
+def build(settings: ServerSettings) -> Service:
+    """Opens the journal, then the session; what was journalled is there again.
+
+    Raises:
+        FleetPoseError: the journal is in use, the router is not there, a file is malformed, or a
+            library is missing.
+    """
+    log_to_stderr()
+    if settings.icp.startswith("point_to"):
+        try:
+            open3d()
+        except MissingLibraryError as error:
+            raise FleetPoseError(f"--icp {settings.icp}: {error}") from error
+    skip = frozenset() if settings.skip_pairs is None else read_pairs(settings.skip_pairs)
+    journal_file, graph_file = folder_files(settings.state_dir)
+    journal = Journal(journal_file)
+    site = restored_site(
+        journal, stored_graph(graph_file), skip, settings.anchor, settings.located_sigma
+    )
+    site.located_grave = settings.located_grave
+    site.recipe, site.icp = settings.recipe, settings.icp
+    site.weights = Weights(settings.weight_clicks, settings.weight_error, settings.retry_s)
+    endpoints = SessionSettings(settings.connect, settings.listen, settings.config)
+    return Service(site, journal, Link(open_session(endpoints)), settings)
+
+
+def read_pairs(path: Path) -> frozenset[tuple[str, str]]:
+    """Reads lines of two robots' names; `#` begins a comment.
+
+    Raises:
+        FleetPoseError: the file cannot be read or a line does not hold two names.
+    """
+    try:
+        lines = path.read_text().splitlines()
+    except OSError as error:
+        raise FleetPoseError(f"cannot read the pairs to skip: {error}") from error
+    pairs = set()
+    for number, line in enumerate(lines, 1):
+        names = line.split("#")[0].split()
+        if not names:
+            continue
+        if len(names) != 2 or names[0] == names[1]:
+            raise FleetPoseError(f"{path}:{number}: two robots' names were expected, not '{line}'")
+        pairs.add(ordered_pair(checked_name(names[0]), checked_name(names[1])))
+    return frozenset(pairs)

@@ -1,0 +1,137 @@
+"""What reaches the server beside clouds: decoded in the subscriber's thread, which only stores
+it.
+"""
+
+import re
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from queue import SimpleQueue
+from typing import TypeVar
+
+from protocol.codec import unpack
+from protocol.drops import Drops
+from protocol.errors import CodecError, FleetPoseError
+from protocol.keys import Keys
+from protocol.messages import Odometry, OperatorUpdate, Selection
+from protocol.messages.base import Message
+from protocol.messages.fields import EPOCH_PATTERN
+from protocol.transport import Answer, Link, Sample
+
+M = TypeVar("M", bound=Message)
+MAX_WAITING = 10_000  # an operator's client repeats what it sent; a token that is lost is rare
+_EPOCH = re.compile(EPOCH_PATTERN)
+
+
+@dataclass(frozen=True)
+class Wake:
+    """A cloud arrived."""
+
+
+@dataclass(frozen=True)
+class Updated:
+    """An operator changed correspondences."""
+
+    update: OperatorUpdate
+
+
+@dataclass(frozen=True)
+class Selected:
+    """An operator looks at a pair."""
+
+    selection: Selection
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A robot said where it is in its own odometry frame."""
+
+    odometry: Odometry
+
+
+@dataclass(frozen=True)
+class TokenSeen:
+    """A robot's token came or went."""
+
+    robot: str
+    epoch: str
+    alive: bool
+
+
+@dataclass(frozen=True)
+class Noticed:
+    """Something that operators should know, from another thread of the server."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A query that the server's own thread answers, when it comes to it."""
+
+    reply: Callable[[], Answer]
+    answer: "Future[Answer]"
+
+
+class Inbox:
+    """Subscribes, decodes small messages and stores them.
+
+    Args:
+        keys: of the site.
+        store: where they wait for the server's own thread.
+        drops: where what cannot be used is counted.
+    """
+
+    def __init__(self, keys: Keys, store: "SimpleQueue[object]", drops: Drops) -> None:
+        self._keys, self._store, self._drops = keys, store, drops
+
+    def subscribe(self, link: Link) -> None:
+        """Declares all subscriptions but that of the clouds."""
+        link.on_latched(self._keys.updates("*"), self._update)
+        link.on_latched(self._keys.selection("*"), self._selection)
+        link.on_latched(self._keys.odometry("*"), self._odometry)
+        link.on_alive(self._keys.robot_alive("*", "*"), self._token)
+
+    def wake(self) -> None:
+        """Wakes the server's thread unless it has something to do anyway."""
+        if self._store.empty():
+            self._store.put(Wake())
+
+    def _update(self, sample: Sample) -> None:
+        self._read(sample, OperatorUpdate, Updated)
+
+    def _selection(self, sample: Sample) -> None:
+        self._read(sample, Selection, Selected)
+
+    def _odometry(self, sample: Sample) -> None:
+        self._read(sample, Odometry, Moved, owner="robot")
+
+    def _read(
+        self,
+        sample: Sample,
+        kind: type[M],
+        event: Callable[[M], object],
+        owner: str = "operator",
+    ) -> None:
+        """Stores what a message is, or counts why it is none. Its owner has the key to himself."""
+        try:
+            message = unpack(kind, sample.payload, sample.encoding)
+            if self._keys.chunks(sample.key)[1] != getattr(message, owner, None):
+                raise CodecError(f"message under another {owner}'s key")
+            if self._store.qsize() >= MAX_WAITING:
+                raise CodecError("more messages than the server can read")
+        except FleetPoseError as error:
+            self._drops.note(sample.key, error)
+            return
+        self._store.put(event(message))
+
+    def _token(self, key: str, alive: bool) -> None:
+        try:
+            _, robot, _, epoch = self._keys.chunks(key)
+            if not _EPOCH.fullmatch(epoch):
+                raise CodecError(f"token with the epoch '{epoch}'")
+        except FleetPoseError as error:
+            if alive:  # once for its coming and going
+                self._drops.note(key, error)
+            return
+        self._store.put(TokenSeen(robot, epoch, alive))

@@ -1,0 +1,322 @@
+"""Following robots through their own views, on their keyframes: the newest view of each as it
+comes, and older ones that an operator looks at.
+"""
+
+from collections import Counter
+from typing import TypeVar
+
+import numpy as np
+
+from pose_server.calibration.monitor import note_moment, note_motion
+from pose_server.consistency.doubts import (
+    DROVE,
+    camera_frozen,
+    note_lost,
+    reconsider,
+    wheels_disagree,
+)
+from pose_server.frontend.tracks import Attached, accepted, moved, standing
+from pose_server.pose_graph.types import Edge
+from pose_server.registration.refinement import Start
+from pose_server.registration.verdict.evaluate import PairResult
+from pose_server.scheduling.pair_queue import note_keyframe, try_again
+from pose_server.scheduling.proposals import candidate_views
+from pose_server.scheduling.retries import note_stand
+from pose_server.state.odometry import camera_motion
+from pose_server.state.pairs import ViewPair
+from pose_server.state.robots import Robot
+from pose_server.state.site import Site
+from pose_server.state.views import STILL_PX, KeptView, something_moved, stands_still
+from pose_server.workers.jobs import Done, Job
+from protocol.messages import ViewName
+
+MOST_KEYFRAMES, LEAST_KEYFRAMES = 40, 6  # of a robot, in a small and in a large fleet
+MOST_BLIND = 5  # keyframes in a row that hang by odometry alone
+_ODOMETRY_SIGMA = 0.02  # how far a start by odometry may be off, share of the depth
+FLEET_KEYFRAMES = 500  # of all robots together: what a solve in a fraction of a second allows
+
+
+def newest_arrived(site: Site, robot: Robot, view: KeptView) -> None:
+    """The newest view of a robot waits to be followed; where no pixel moved, or before the first
+    keyframe, no worker is needed.
+    """
+    robot.newest = robot.waiting = view.name
+    note_stand(robot, view)
+    site.odometers.at(view.name, view.stamp_ns)
+    if camera_frozen(site, robot, view):
+        robot.waiting = None
+    elif not robot.track.keyframes:
+        robot.waiting = None
+        new_keyframe(site, robot, view.name)
+    elif _stayed(site, robot, view, robot.track.reference or robot.track.keyframe_near(view.name)):
+        robot.waiting = None
+        try_again(site, robot, view.received_s)
+
+
+def look_back(site: Site, view: ViewName) -> None:
+    """Asks for a kept view, newest or not, to be hung on a keyframe, because an operator looks at
+    it or clicked in it.
+    """
+    robot = site.robots.get(view.robot)
+    if robot is None:
+        return
+    on_its_way = view in (robot.waiting, robot.tracking, robot.placing) or view in robot.behind
+    if view in site.views and site.attached(view) is None and not on_its_way:
+        robot.behind.append(view)
+
+
+def back_job(site: Site) -> Job | None:
+    """The next older view that somebody looks at."""
+    for robot in site.robots.values():
+        while robot.behind and robot.placing is None:
+            view = robot.behind.pop(0)
+            if view not in site.views or site.attached(view) is not None:
+                continue
+            robot.track.past.add(view)
+            near = robot.track.keyframe_near(view)
+            if _stayed(site, robot, site.views[view], near):
+                _placed(site, view)
+            elif (job := _follow(site, robot, view)) is not None:
+                return job
+    return None
+
+
+def track_job(site: Site) -> Job | None:
+    """The newest view of the robot that lags most."""
+    waiting = [robot for robot in site.robots.values() if robot.waiting and robot.tracking is None]
+    if not waiting:
+        return None
+    robot = min(waiting, key=lambda r: _followed_s(site, r))
+    view, robot.waiting = robot.waiting, None
+    assert view is not None
+    return _follow(site, robot, view)
+
+
+def followed(site: Site, done: Done) -> None:
+    """Files an alignment of a view with a keyframe of its own robot."""
+    view, keyframe = done.job.j.name, done.job.i.name
+    robot = site.robot(view.robot)
+    past = view in robot.track.past
+    if past:
+        robot.placing = None
+    else:
+        robot.tracking = None
+    if view not in site.views or keyframe not in site.views:
+        return
+    step = "try"
+    if done.result is not None:
+        masks = zip((keyframe, view), done.result.moving, strict=True)
+        robot.track.masks |= {name: mask for name, mask in masks if mask is not None}
+        note_motion(site, view, done.result.moving[1])
+        note_moment(site, done)
+        if not past and _is_refuted(site, robot, view, keyframe, done.result):
+            return
+        depth = site.views[view].median_depth_m
+        nearer = None if past else _nearer_keyframe(site, robot, keyframe, done.result, depth)
+        step = robot.track.take(view, keyframe, done.result, depth, nearer)
+    if step == "try":
+        _try_again(site, robot, view, past)
+        return
+    if step == "keyframe":
+        new_keyframe(site, robot, view)
+    else:
+        _ask_for_covariance(site, robot.track.attached[view].keyframe)
+    if past:
+        _placed(site, view)
+    elif step == "attached":
+        try_again(site, robot, site.views[view].received_s)
+    reconsider(site)
+
+
+def new_keyframe(site: Site, robot: Robot, view: ViewName) -> None:
+    """Makes a view a keyframe, links it to the one it was aligned with, and offers it to the other
+    robots.
+    """
+    link = robot.track.link_of(view)
+    robot.track.begin(view)
+    if link is not None:
+        # in another life the robot did not come from there by what it did: it was recognised
+        kind = "odometry" if link.keyframe.epoch == view.epoch else "pair"
+        T, covariance = link.T_keyframe_view, link.covariance
+        site.link(Edge(link.keyframe, view, T, covariance, link.verdict, kind))
+    note_keyframe(site, view)
+    site.dirty = True
+    share = FLEET_KEYFRAMES // max(len(site.robots), 1)
+    if len(robot.track.keyframes) > min(max(share, LEAST_KEYFRAMES), MOST_KEYFRAMES):
+        _drop_keyframe(site, robot)
+
+
+def _try_again(site: Site, robot: Robot, view: ViewName, past: bool) -> None:
+    if past:
+        robot.behind.insert(0, view)
+    elif robot.waiting is None:
+        robot.waiting = view
+    else:
+        site.count("views_overtaken")
+        if view in site.book.views():
+            look_back(site, view)
+
+
+def _followed_s(site: Site, robot: Robot) -> float:
+    """When the newest view that hangs somewhere was received: who lags most is next."""
+    newest = robot.track.newest
+    kept = None if newest is None else site.views.get(newest.view)
+    return -np.inf if kept is None else kept.received_s
+
+
+def _follow(site: Site, robot: Robot, view: ViewName) -> Job | None:
+    """The next try to hang a view on one of its robot's keyframes."""
+    past = view in robot.track.past
+    keyframe = robot.track.next_try(view, lambda: candidate_views(site, robot, view))
+    if keyframe is None or keyframe not in site.views:
+        if not past and (here := _by_odometry(site, robot, view)) is not None:
+            robot.track.follow_blindly(here)
+            new_keyframe(site, robot, view)
+            return None
+        if robot.track.give_up(view) == "segment":
+            if past:
+                site.say(f"{robot.name}'s view {view.seq} hangs on none of its keyframes")
+            else:
+                note_lost(site, robot, view)
+        new_keyframe(site, robot, view)
+        if past:
+            _placed(site, view)
+        return None
+    starts: tuple[Start, ...] = ()
+    if past:
+        robot.placing = view
+    else:
+        robot.tracking = view
+        if robot.track.newest is not None and robot.track.newest.keyframe == keyframe:
+            starts = (Start("previous", robot.track.newest.T_keyframe_view, 0.03),)
+    here = _moved_by_odometry(site, keyframe, view)
+    if here is not None:
+        starts = (Start("previous", here.T_keyframe_view, _ODOMETRY_SIGMA),)
+    return Job("track", site.views[keyframe].encoded, site.views[view].encoded, starts)
+
+
+def _by_odometry(site: Site, robot: Robot, view: ViewName) -> Attached | None:
+    """Where a view that aligns with nothing hangs by its robot's own odometry, for a few views in a
+    row: a robot that was carried away does not know. One that did not drive would still see what it
+    saw: its pixels contradict its wheels.
+    """
+    newest = robot.track.newest
+    if newest is None or robot.track.blind >= MOST_BLIND or newest.keyframe not in site.views:
+        return None
+    since = _moved_by_odometry(site, newest.view, view) if newest.view in site.views else None
+    if since is not None and moved(since.T_keyframe_view, site.views[view].median_depth_m) < DROVE:
+        return None
+    return _moved_by_odometry(site, newest.keyframe, view)
+
+
+def _is_refuted(
+    site: Site, robot: Robot, view: ViewName, keyframe: ViewName, result: PairResult
+) -> bool:
+    """Whether a robot's odometry contradicts where an alignment hangs its newest view."""
+    if not accepted(result):
+        return False
+    assert result.T_i_j is not None and result.covariance is not None
+    here = Attached(view, keyframe, result.T_i_j, result.covariance, result.verdict)
+    return wheels_disagree(site, robot, here)
+
+
+def _moved_by_odometry(site: Site, keyframe: ViewName, view: ViewName) -> Attached | None:
+    """T_keyframe_view of the cameras by what the robot says of its own motion, if it does."""
+    before, now = site.views[keyframe], site.views[view]
+    a = site.odometers.at(keyframe, before.stamp_ns)
+    b = site.odometers.at(view, now.stamp_ns)
+    if a is None or b is None or keyframe.epoch != view.epoch:
+        return None
+    T, covariance = camera_motion(a, b, before.camera.T_robot_camera, now.camera.T_robot_camera)
+    return Attached(view, keyframe, T, covariance, "plausible")
+
+
+def _stayed(site: Site, robot: Robot, view: KeptView, keyframe: ViewName | None) -> bool:
+    """Hangs a view on a keyframe without a worker where no pixel moved; what walks past a robot
+    that stands still takes a worker to be masked.
+    """
+    if keyframe is None or keyframe not in site.views:
+        return False
+    before = site.views[keyframe]
+    if not stands_still(before, view) or something_moved(before, view):
+        return False
+    sigma_rad = STILL_PX / float(view.camera.K[0, 0])
+    here = standing(view.name, keyframe, sigma_rad, sigma_rad * view.median_depth_m)
+    if view.name not in robot.track.past and wheels_disagree(site, robot, here):
+        return True  # it waits for nothing, and hangs nowhere
+    robot.track.hang(here)
+    _ask_for_covariance(site, keyframe)
+    return True
+
+
+def _ask_for_covariance(site: Site, keyframe: ViewName) -> None:
+    """The next solve makes the covariance of a keyframe on which a robot has just come to hang."""
+    if site.solution is not None:
+        node = site.solution.nodes.get(keyframe)
+        site.dirty |= node is None or node.covariance is None
+
+
+def _placed(site: Site, view: ViewName) -> None:
+    """An older view hangs somewhere now: clicks that were made in it begin to count."""
+    site.robot(view.robot).track.past.discard(view)
+    for kept in site.book.all():
+        if view in (kept.item.view_i, kept.item.view_j):
+            site.pair(kept.item.view_i.robot, kept.item.view_j.robot).clicks_due = True
+            site.dirty = True
+
+
+def _nearer_keyframe(
+    site: Site, robot: Robot, keyframe: ViewName, result: PairResult, depth_m: float
+) -> ViewName | None:
+    """Another keyframe of the robot that a view is near to, judged by the solution."""
+    if not accepted(result) or result.T_i_j is None:
+        return None
+    near: list[tuple[float, ViewName]] = []
+    for other in robot.track.keyframes:
+        T = None if other == keyframe else site.relative(other, keyframe)
+        if T is not None:
+            near.append((moved(T @ result.T_i_j, depth_m), other))
+    distance, other = min(near, default=(np.inf, None), key=lambda pair: pair[0])
+    return other if distance < 0.8 else None
+
+
+def _drop_keyframe(site: Site, robot: Robot) -> None:
+    """Forgets the oldest keyframe that nothing important hangs on."""
+    clicked = {site.attached(view) for view in site.book.views()}
+    kept = {here.keyframe for here in clicked if here is not None}
+    kept |= {site.gauge, robot.track.reference, *site.anchoring.origins}
+    oldest = next((view for view in _spare(site, robot) if view not in kept), None)
+    if oldest is None:
+        return
+    robot.track.forget({oldest})
+    for key in [key for key in site.edges if oldest in key[:2]]:
+        site.unlink(key)
+    site.similarities = {v: like for v, like in site.similarities.items() if oldest not in v}
+    for record in site.pairs.values():
+        record.untried = _without(oldest, record.untried)
+        record.tried = _without(oldest, record.tried)
+        record.searched = _without(oldest, record.searched)
+
+
+def _spare(site: Site, robot: Robot) -> list[ViewName]:
+    """A robot's keyframes, those first that can be spared most: what hangs on nothing, as seen by a
+    covered camera; then of the component that has most of them, since a map of where the robot was
+    before is not forgotten for one of where it is.
+    """
+    nodes = {} if site.solution is None else site.solution.nodes
+    keyframes = robot.track.keyframes
+    roots = {view: nodes[view].root for view in keyframes if view in nodes}
+    own, anybodys = Counter(roots.values()), Counter(node.root for node in nodes.values())
+
+    def worth(view: ViewName) -> tuple[bool, int]:
+        root = roots.get(view, view)
+        return anybodys[root] != 1, -own[root]
+
+    return sorted(keyframes, key=worth)
+
+
+V = TypeVar("V")
+
+
+def _without(view: ViewName, by_views: dict[ViewPair, V]) -> dict[ViewPair, V]:
+    return {views: value for views, value in by_views.items() if view not in views}

@@ -1,1 +1,0 @@
-"""Which pair is next, and aligning it."""

@@ -1,0 +1,97 @@
+"""A server that begins again where the one before it ended."""
+
+import logging
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from pose_server.correspondences.journal import Journal
+from pose_server.correspondences.store import Book
+from pose_server.persistence.graph_store import Graph
+from pose_server.pose_graph.types import Edge
+from pose_server.scheduling import pair_queue
+from pose_server.state.site import Site
+from pose_server.state.views import KeptView, open_view
+from protocol.errors import CodecError
+from protocol.messages import ViewName
+
+log = logging.getLogger("pose_server")
+
+JOURNAL, GRAPH = "journal.sqlite3", "graph.sqlite3"  # in the server's state folder
+_FULL_POSE = 3
+
+
+def restored_site(
+    journal: Journal,
+    graph: Graph,
+    skip: frozenset[tuple[str, str]] = frozenset(),
+    anchor: str | None = None,
+    located_sigma: float = 0.05,
+) -> Site:
+    """A site as the journal and the graph of an earlier life tell of it.
+
+    Raises:
+        JournalError: the journal cannot be read.
+    """
+    before = journal.noted("anchor") or None
+    revision = int(journal.noted("gauge_revision") or 0)
+    site = Site(
+        located_sigma=located_sigma,
+        book=Book(journal),
+        skip=skip,
+        anchor=anchor or before,
+        gauge_revision=revision + (anchor is not None and before not in (None, anchor)),
+    )
+    site.anchoring.asked = anchor
+    now_s = time.monotonic()
+    encoded = {**graph.keyframes, **{stored.name: stored.encoded for stored in journal.views()}}
+    views = [view for name, data in encoded.items() if (view := _opened(name, data, now_s))]
+    restore(site, views, graph.edges.values(), graph.gauge)
+    return site
+
+
+def restore(
+    site: Site,
+    keyframes: Sequence[KeptView],
+    edges: Iterable[Edge] = (),
+    gauge: ViewName | None = None,
+) -> None:
+    """Keyframes and their links are there again, and so are the views that were clicked in; all
+    pairs that were clicked in are due.
+    """
+    for view in keyframes:
+        robot = site.robot(view.name.robot)
+        site.views.keep(view)
+        robot.track.recall(view.name)
+        pair_queue.note_keyframe(site, view.name)
+    for edge in edges:
+        known = edge.a in site.views and edge.b in site.views
+        if known and (not edge.operator or _is_confirmed(site, edge)):
+            site.link(edge)
+            if edge.kind == "pair":
+                site.pair(edge.a.robot, edge.b.robot).tried[edge.a, edge.b] = {"pair"}
+    site.gauge = gauge if gauge is not None and gauge in site.views else None
+    for pair in site.book.pairs():
+        site.pair(*pair).clicks_due = True
+    site.dirty = bool(keyframes)
+
+
+def folder_files(state_dir: Path) -> tuple[Path, Path]:
+    """The journal and the graph of a state folder."""
+    return state_dir / JOURNAL, state_dir / GRAPH
+
+
+def _is_confirmed(site: Site, edge: Edge) -> bool:
+    """Whether the clicks that an edge rests on are still there: they may have been erased after it
+    was written last.
+    """
+    return len(site.book.of(edge.a.robot, edge.b.robot)) >= _FULL_POSE
+
+
+def _opened(name: ViewName, encoded: bytes, now_s: float) -> KeptView | None:
+    """A stored view; one that cannot be read costs that view, not the server."""
+    try:
+        return open_view(encoded, None, now_s)
+    except CodecError as error:
+        log.error("stored view %s is left out: %s", name, error)
+        return None

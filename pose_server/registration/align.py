@@ -1,0 +1,205 @@
+"""Aligning two views: several starts, each refined, the best one judged.
+
+All thresholds follow from the noise, the resolution and the median depth; the scene's size never
+matters.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from pose_server.geometry.icp import Method
+from pose_server.registration.diagnostics import with_byproducts, with_suggestions
+from pose_server.registration.pair import RATIO, WIDE_RATIO, Pair
+from pose_server.registration.prepared_view import PreparedView
+from pose_server.registration.refinement import (
+    Candidate,
+    Start,
+    best_of,
+    from_poses,
+    from_start,
+    from_surfaces,
+    middle_of,
+    with_icp,
+    with_surfaces,
+)
+from pose_server.registration.surfaces import align_surfaces
+from pose_server.registration.verdict.evaluate import PairResult, contested, judged
+
+Floats = npt.NDArray[np.floating]
+Indices = npt.NDArray[np.int64]
+
+_USUAL_POSES, _WIDE_POSES = 2, 4  # that are refined, of those found by features
+_STRONG_INLIERS = 60
+_STRONG_SIGMA, _WEAK_SIGMA = 0.0055, 0.011  # share of the depth
+_SETTLED_INLIERS, _SETTLED_SIGMA = 25, 0.0127
+_TRUST = {"verified": 3, "plausible": 2, "ambiguous": 1, "rejected": 0}
+
+
+def align_pair(
+    i: PreparedView,
+    j: PreparedView,
+    starts: Sequence[Start] = (),
+    features: bool = True,
+    icp: Method = "gicp",
+) -> PairResult:
+    """Aligns two views.
+
+    Args:
+        i, j: the views.
+        starts: poses to begin from, beside the one found by features.
+        features: whether to look for a start by features; off where only the given starts may be
+            used.
+        icp: how clouds are brought together.
+    """
+    began = time.perf_counter()
+    pair = Pair(i, j, RATIO)
+    if not pair.looks:
+        return align_surfaces(pair, starts, features, icp)
+    matched = time.perf_counter()
+    candidates: list[Candidate] = []
+    for start in starts:
+        candidates += from_start(pair, start)
+    result = _judge_best(pair, candidates, icp) if candidates else None
+    if features and (result is None or not _is_strong(result)):
+        more = from_poses(pair, pair.ratio, "features", _USUAL_POSES)
+        candidates += more
+        result = _judge_best(pair, candidates, icp) if more else result
+    if result is None:
+        result = PairResult(None, None, "rejected", (_why_no_start(pair, starts),))
+        return with_byproducts(pair, result)
+    refined = time.perf_counter()
+    result = contested(pair, _finished(pair, candidates, result, icp))
+    timings = {
+        "match": 1e3 * (matched - began),
+        "refine_and_judge": 1e3 * (refined - matched),
+        "icp": 1e3 * (time.perf_counter() - refined),
+    }
+    return with_byproducts(pair, replace(result, timings_ms=timings))
+
+
+def align_wide(
+    i: PreparedView,
+    j: PreparedView,
+    usual: PairResult,
+    starts: Sequence[Start] = (),
+    icp: Method = "gicp",
+) -> PairResult:
+    """Aligns two views again by their wide sets of salient points; where no matches agree, by the
+    shapes of dense clouds.
+
+    Args:
+        i, j: the views with their wide sets.
+        usual: what `align_pair` made of the usual sets; its pose is a candidate too.
+        starts: poses to begin from as well.
+        icp: how clouds are brought together.
+    """
+    began = time.perf_counter()
+    pair = Pair(i, j, WIDE_RATIO)
+    candidates = [one for start in starts for one in from_start(pair, start)]
+    candidates += from_poses(pair, pair.ratio, "wide", _WIDE_POSES)
+    if usual.T_i_j is not None:
+        candidates.append(Candidate(pair, usual.start, usual.T_i_j))
+    result = _judge_best(pair, candidates, icp) if candidates else usual
+    if result.verdict == "rejected" and i.dense and j.dense and icp != "off":
+        candidates += from_surfaces(pair)
+        result = _judge_best(pair, candidates, icp) if candidates else usual
+    result = contested(pair, _finished(pair, candidates, result, icp))
+    timings = {**usual.timings_ms, "wide": 1e3 * (time.perf_counter() - began)}
+    result = replace(result, timings_ms=timings, depths=usual.depths, moving=usual.moving)
+    return with_suggestions(pair, result)
+
+
+def align_from(
+    i: PreparedView,
+    j: PreparedView,
+    starts: Sequence[Start],
+    known: PairResult,
+    icp: Method = "gicp",
+) -> PairResult:
+    """Aligns two views from given starts alone: what features say of them is known already, and is
+    kept where no start leads to anything better. Somebody waits for it: the usual sets must do.
+
+    Args:
+        i, j: the views.
+        starts: poses to begin from.
+        known: what `align_pair` or `align_wide` made of the same views.
+        icp: how clouds are brought together.
+    """
+    began = time.perf_counter()
+    pair = Pair(i, j, RATIO)
+    if not pair.looks:
+        found = align_surfaces(pair, starts, False, icp)
+        return known if _TRUST[found.verdict] < _TRUST[known.verdict] else found
+    candidates = [one for start in starts for one in from_start(pair, start)]
+    if known.T_i_j is not None:
+        candidates.append(Candidate(pair, known.start, known.T_i_j))
+    if not candidates or best_of(candidates).T_i_j is known.T_i_j:
+        return known
+    result = contested(pair, _finished(pair, candidates, _judge_best(pair, candidates, icp), icp))
+    if _TRUST[result.verdict] < _TRUST[known.verdict]:
+        return known
+    timings = {"from_starts": 1e3 * (time.perf_counter() - began)}
+    return replace(result, timings_ms=timings, depths=known.depths, moving=known.moving)
+
+
+def is_settled(result: PairResult) -> bool:
+    """Whether the wide sets of salient points could not add to a result."""
+    if result.mirrored or result.surfaces is not None:
+        return True
+    e = result.evidence
+    return (
+        e is not None
+        and result.verdict == "verified"
+        and e.inliers >= _SETTLED_INLIERS
+        and e.position_sigma < _SETTLED_SIGMA
+    )
+
+
+def _finished(
+    pair: Pair, candidates: Sequence[Candidate], result: PairResult, icp: Method
+) -> PairResult:
+    """The result of the best candidate, or of what ICP makes of it where that is better."""
+    if result.verdict == "rejected" or not (result.icp is None or _needs_icp(result)):
+        return result
+    best = best_of(candidates)
+    refined = with_icp(pair, best, icp)
+    if refined.icp is not None and refined.icp.kept:
+        again = judged(pair, refined.T_i_j, refined.start)
+        return replace(again, icp=refined.icp)
+    return replace(result, icp=result.icp or refined.icp)
+
+
+def _needs_icp(result: PairResult) -> bool:
+    """Whether the pose is about right, but the features leave it weak."""
+    e = result.evidence
+    return e is not None and (result.verdict != "verified" or e.position_sigma > _WEAK_SIGMA)
+
+
+def _judge_best(pair: Pair, candidates: Sequence[Candidate], icp: Method) -> PairResult:
+    best = middle_of(pair, candidates)
+    if icp == "gicp":
+        best = with_surfaces(pair, best)
+    result = judged(pair, best.T_i_j, best.start, best.T_by_matches)
+    return replace(result, icp=best.icp)
+
+
+def _is_strong(result: PairResult) -> bool:
+    """Whether features alone are beyond what ICP could improve."""
+    e = result.evidence
+    return (
+        e is not None
+        and result.verdict == "verified"
+        and e.inliers >= _STRONG_INLIERS
+        and e.position_sigma < _STRONG_SIGMA
+    )
+
+
+def _why_no_start(pair: Pair, starts: Sequence[Start]) -> str:
+    tried = ", ".join(start.kind for start in starts)
+    return f"no start: {len(pair.ratio)} feature matches, no five agree" + (
+        f"; tried {tried}" if tried else ""
+    )

@@ -1,0 +1,333 @@
+"""What the server knows of its site: views, tracks, links between keyframes, the operator's work,
+the solution.
+"""
+
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from pose_server.calibration.clocks import LEAST_AHEAD_S
+from pose_server.calibration.history import Memory
+from pose_server.correspondences.lifting import Lifter
+from pose_server.correspondences.store import Book
+from pose_server.frontend.frames import upright
+from pose_server.frontend.tracks import Attached
+from pose_server.geometry.icp import Method
+from pose_server.geometry.se3 import compose_covariance, inverse
+from pose_server.pose_graph.types import ClickFactor, Edge, EdgeKey, FleetSolution
+from pose_server.scheduling.settings import Weights
+from pose_server.scheduling.weighted_round_robin import Turns
+from pose_server.state.affine_retries import Widening
+from pose_server.state.doubts import Doubts
+from pose_server.state.odometry import Odometers
+from pose_server.state.origins import Anchoring
+from pose_server.state.pair_queue import Agenda
+from pose_server.state.pairs import PairRecord, RobotPair, ViewPair
+from pose_server.state.question_feedback import Asking
+from pose_server.state.robots import Robot
+from pose_server.state.views import KeptView, ViewStore, same_camera
+from pose_server.workers.jobs import EncodedView, RecipeName
+from protocol.errors import FleetPoseError
+from protocol.keys import ordered_pair
+from protocol.messages import Alarm, PairCell, ViewName
+
+Floats = npt.NDArray[np.floating]
+PINNED_S = 60.0  # a client repeats what it holds every few seconds
+MAX_PINS = 64
+MAX_CHANGES_TOLD = 5
+MAX_HELD_BACK = 100
+MAX_HELD_BACK_BYTES = 64 * 1024 * 1024
+MAX_ROBOTS = 1000
+MAX_EPOCHS = 8  # tokens under one name at a time
+
+
+class SiteFullError(FleetPoseError):
+    """More robots, or more lives of one, than a site can have."""
+
+
+@dataclass(frozen=True)
+class Pin:
+    """The views that an operator's client holds on its screen, and when it said so last."""
+
+    views: tuple[ViewName, ...]
+    said_s: float
+
+
+@dataclass
+class Site:
+    """The state of one site. Only the server's own thread touches it.
+
+    Attributes:
+        located_sigma: largest position sigma of a located robot, share of the depth.
+        located_grave: largest probability that a located robot is gravely off.
+        recipe, icp: how pairs are aligned, and their clouds brought together.
+        pins: by operator and session.
+        agenda: which pairs wait to be aligned.
+        weights: what makes them wait for less.
+        kinds: of work of which each has its share.
+        partners: of each robot, those of which a pair record is there.
+        repetition: share of pairs that told the last solve of a place that repeats itself.
+        touched: robots of pairs that were aligned and not told of since.
+        covariances: the solve in which that of a keyframe was made last.
+        cells: of the error matrix as they were told last, and what they were made of.
+        depth_m: median over the keyframes.
+        held_back: the newest view of each name whose token was not seen yet.
+        depths: what pairs say of the robots' depths.
+        widening: pairs that wait for wide sets of salient points.
+        asking: what became of the questions.
+        odometers: what robots say of their own motion.
+        factors: of the last solve, by id of the correspondence, and what they were made of.
+        judged: points clicked in two views, the relative pose that they were judged at last, and
+            which of them their pair had refused then.
+        bends: those of the alarms that say that a robot's depths bend.
+        doubts: which robots' poses are not believed, and why.
+        anchoring: which origins the fleet has had.
+        alarms_told: robots and kinds of alarms that were an event already.
+    """
+
+    book: Book
+    skip: frozenset[RobotPair] = frozenset()
+    located_sigma: float = 0.05
+    located_grave: float = 0.05
+    recipe: RecipeName = "full"
+    icp: Method = "gicp"
+    anchor: str | None = None
+    views: ViewStore = field(default_factory=ViewStore)
+    robots: dict[str, Robot] = field(default_factory=dict)
+    pairs: dict[RobotPair, PairRecord] = field(default_factory=dict)
+    edges: dict[EdgeKey, Edge] = field(default_factory=dict)
+    pins: dict[tuple[str, str], Pin] = field(default_factory=dict)
+    held_back: dict[str, KeptView] = field(default_factory=dict)
+    solution: FleetSolution | None = None
+    gauge_revision: int = 0
+    agenda: Agenda = field(default_factory=Agenda)
+    weights: Weights = field(default_factory=Weights)
+    kinds: Turns[str] = field(default_factory=Turns)
+    depth_m: float = 1.0
+    dirty: bool = False
+    repetition: float = 0.0
+    partners: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    touched: set[str] = field(default_factory=set)
+    cells: dict[RobotPair, tuple[object, PairCell]] = field(default_factory=dict)
+    covariances: dict[ViewName, int] = field(default_factory=dict)
+    events: list[str] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=dict)
+    gauge: ViewName | None = None
+    similarities: dict[ViewPair, float] = field(default_factory=dict)
+    components: dict[str, str] = field(default_factory=dict)
+    lifter: Lifter = field(default_factory=Lifter)
+    depths: Memory = field(default_factory=Memory)
+    widening: Widening = field(default_factory=Widening)
+    asking: Asking = field(default_factory=Asking)
+    odometers: Odometers = field(default_factory=Odometers)
+    factors: dict[int, tuple[tuple[object, ...], ClickFactor]] = field(default_factory=dict)
+    judged: dict[ViewPair, tuple[list[Floats], Floats, tuple[bool, ...]]] = field(
+        default_factory=dict
+    )
+    alarms: tuple[Alarm, ...] = ()
+    bends: tuple[Alarm, ...] = ()
+    alarms_told: set[tuple[str, str]] = field(default_factory=set)
+    doubts: Doubts = field(default_factory=Doubts)
+    anchoring: Anchoring = field(default_factory=Anchoring)
+    _edge_counts: Counter[RobotPair] = field(default_factory=Counter[RobotPair])
+
+    def robot(self, name: str) -> Robot:
+        """The robot's record, made when first heard of."""
+        return self.robots.setdefault(name, Robot(name))
+
+    def newcomer(self, name: str) -> Robot:
+        """The record of a robot whose token is there; where there are too many, those that are gone
+        and left nothing make room.
+
+        Raises:
+            SiteFullError: there is none.
+        """
+        if name not in self.robots and len(self.robots) >= MAX_ROBOTS:
+            left = {view.robot for view in self.book.views()}
+            gone = [
+                robot.name
+                for robot in self.robots.values()
+                if not robot.alive and not robot.track.keyframes and robot.name not in left
+            ]
+            for other in gone:
+                del self.robots[other]
+            if not gone:
+                raise SiteFullError(f"a robot too many: {MAX_ROBOTS} are known, '{name}' is not")
+        robot = self.robot(name)
+        if len(robot.epochs) >= MAX_EPOCHS:
+            raise SiteFullError(f"too many tokens under one name: {MAX_EPOCHS} of '{name}'")
+        return robot
+
+    def knows(self, pair: RobotPair) -> bool:
+        """Whether anything is or was between two robots that are known."""
+        return self.book.has(*pair) or (pair[0] in self.robots and pair[1] in self.robots)
+
+    def pair(self, a: str, b: str) -> PairRecord:
+        """The pair's record, made when first needed."""
+        pair = ordered_pair(a, b)
+        record = self.pairs.get(pair)
+        if record is None:
+            record = self.pairs[pair] = PairRecord()
+            if a != b:
+                self.partners[a].append(b)
+                self.partners[b].append(a)
+        return record
+
+    def count(self, what: str, by: int = 1) -> None:
+        """Counts something for the status."""
+        self.counts[what] = self.counts.get(what, 0) + by
+
+    def say(self, event: str) -> None:
+        """An event that operators see."""
+        self.events = [*self.events[-19:], event]
+
+    def keyframes(self) -> list[ViewName]:
+        """Of all robots."""
+        return [keyframe for robot in self.robots.values() for keyframe in robot.track.keyframes]
+
+    def newest_keyframes(self) -> dict[str, ViewName]:
+        """The keyframe that each robot's newest view hangs on, by robot in order of name."""
+        return {
+            name: robot.track.newest.keyframe
+            for name, robot in sorted(self.robots.items())
+            if robot.track.newest is not None
+        }
+
+    def newest_view(self, name: str) -> KeptView | None:
+        """The newest view of a robot, if there is one."""
+        robot = self.robots.get(name)
+        return None if robot is None or robot.newest is None else self.views.get(robot.newest)
+
+    def encoded(self, view: ViewName) -> EncodedView:
+        """A view for a worker that aligns two robots, without what moves in it, and with its wide
+        set where there is one.
+        """
+        mask = self.robot(view.robot).track.masks.get(view)
+        return replace(self.views[view].encoded, mask=mask, wide=self.widening.of(view))
+
+    def attached(self, view: ViewName) -> Attached | None:
+        """Where a view hangs."""
+        robot = self.robots.get(view.robot)
+        return None if robot is None else robot.track.attached.get(view)
+
+    def held(self) -> set[ViewName]:
+        """Views that must be kept: keyframes, selected ones, those with correspondences, those in
+        work.
+        """
+        held = set(self.keyframes()) | self.book.views()
+        for pin in self.pins.values():
+            held.update(pin.views)
+        for robot in self.robots.values():
+            at_work = (robot.newest, robot.waiting, robot.tracking, robot.placing, *robot.behind)
+            held.update(view for view in at_work if view is not None)
+        held.update(view for views in self.widening.waiting for view in views)
+        return held
+
+    def pin(self, client: tuple[str, str], views: tuple[ViewName, ...], now_s: float) -> None:
+        """Holds views for an operator's client in place of those it held before."""
+        self.pins.pop(client, None)
+        fresh = [(key, pin) for key, pin in self.pins.items() if now_s - pin.said_s < PINNED_S]
+        self.pins = dict(fresh[-MAX_PINS + 1 :])
+        if views:
+            self.pins[client] = Pin(views, now_s)
+
+    def pinned(self) -> tuple[ViewName, ...]:
+        """The views that operators hold on their screens and that are kept."""
+        held = dict.fromkeys(view for pin in self.pins.values() for view in pin.views)
+        return tuple(view for view in held if view in self.views)
+
+    def hold_back(self, view: KeptView) -> None:
+        """Keeps the newest view of a name whose token is not there, until it is."""
+        name = view.name.robot
+        if self.held_back.pop(name, None) is not None or len(self.held_back) >= MAX_HELD_BACK:
+            self.count("without_token")
+        waiting = sum(len(other.payload) for other in self.held_back.values())
+        if len(self.held_back) < MAX_HELD_BACK and waiting < MAX_HELD_BACK_BYTES:
+            self.held_back[name] = view
+
+    def note_change(self, robot: Robot, view: KeptView) -> None:
+        """Tells, a few times, when a robot's calibration changed or its clock went back."""
+        before, back_s = robot.camera, 1e-9 * (robot.stamp_ns - view.stamp_ns)
+        told = []
+        if before is not None and not same_camera(before, view.camera):
+            told.append(f"{robot.name} has another calibration from its view {view.name.seq} on")
+            self.depths.forget(robot.name)
+            self.alarms_told = {of for of in self.alarms_told if of[0] != robot.name}
+        if back_s > 0:
+            told.append(f"the clock of {robot.name} went back by {back_s:.1f} s")
+        if back_s > LEAST_AHEAD_S:  # it was set: what was noted of it before tells nothing
+            self.odometers.clock_went_back(robot.name)
+            self.depths.clocks.forget(robot.name)
+        robot.camera, robot.stamp_ns = view.camera, view.stamp_ns
+        robot.changes += len(told)
+        if robot.changes <= MAX_CHANGES_TOLD:
+            for event in told:
+                self.say(event)
+
+    def edge_count(self, a: str, b: str) -> int:
+        """Links between two robots."""
+        return self._edge_counts[ordered_pair(a, b)]
+
+    def camera_pose(self, view: ViewName) -> tuple[ViewName, Floats, Floats | None] | None:
+        """Root of its component, T_root_camera and covariance of a view that hangs somewhere."""
+        here = self.attached(view)
+        if here is None or self.solution is None or here.keyframe not in self.solution.nodes:
+            return None
+        node = self.solution.nodes[here.keyframe]
+        T = node.T_root_camera @ here.T_keyframe_view
+        if node.covariance is None:
+            return node.root, T, None
+        return (
+            node.root,
+            T,
+            compose_covariance(node.T_root_camera, node.covariance, here.covariance),
+        )
+
+    def relative(self, a: ViewName, b: ViewName) -> Floats | None:
+        """T_a_b of two views' cameras by the solution, or None where nothing joins them."""
+        if not self.joined(a, b):
+            return None
+        return inverse(self._T_root_camera(a)) @ self._T_root_camera(b)
+
+    def _T_root_camera(self, view: ViewName) -> Floats:
+        here = self.attached(view)
+        assert here is not None and self.solution is not None
+        return self.solution.nodes[here.keyframe].T_root_camera @ here.T_keyframe_view
+
+    def component_name(self, root: ViewName) -> str:
+        """The anchor's name for its component, else the root's robot and view: poses compare only
+        within one.
+        """
+        return root.robot if root == self.gauge else f"{root.robot[:16]}-{root.seq}"
+
+    def joined(self, a: ViewName, b: ViewName) -> bool:
+        """Whether two views share a component."""
+        at_a, at_b = self.attached(a), self.attached(b)
+        if at_a is None or at_b is None or self.solution is None:
+            return False
+        return self.solution.joined(at_a.keyframe, at_b.keyframe)
+
+    def fleet_from_root(self, root: ViewName) -> Floats:
+        """T_fleet_root: the fleet frame is the body of the root's robot, turned upright where
+        gravity is known.
+        """
+        kept = self.views[root]
+        T_robot_camera = kept.camera.T_robot_camera
+        if kept.up_camera is None:
+            return T_robot_camera
+        return upright(T_robot_camera[:3, :3] @ kept.up_camera) @ T_robot_camera
+
+    def link(self, edge: Edge) -> None:
+        """Adds or replaces a link between two keyframes."""
+        if edge.key not in self.edges:
+            self._edge_counts[ordered_pair(edge.a.robot, edge.b.robot)] += 1
+        self.edges[edge.key] = edge
+        self.dirty = True
+
+    def unlink(self, key: EdgeKey) -> None:
+        """Removes a link."""
+        if self.edges.pop(key, None) is not None:
+            self._edge_counts[ordered_pair(key[0].robot, key[1].robot)] -= 1
+            self.dirty = True

@@ -1,0 +1,15 @@
+"""How a view is named."""
+
+from protocol.messages.base import Message
+from protocol.messages.fields import Count, Epoch, Name
+
+
+class ViewName(Message, frozen=True, schema="fleet.view_name.v1"):
+    """One moment of one robot: image and cloud of it carry the same name."""
+
+    robot: Name
+    epoch: Epoch
+    seq: Count
+
+    def __str__(self) -> str:
+        return f"{self.robot}/{self.epoch}/{self.seq}"

@@ -1,0 +1,76 @@
+"""Rectification: both images of a rig as two equal cameras side by side would see them."""
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from protocol.errors import CalibrationError
+from robot_agent.cameras.stereo.rig import Floats, StereoRig
+
+Image = npt.NDArray[np.uint8]
+
+
+class Rectifier:
+    """Warps both images so that the same point lies in the same row.
+
+    Attributes:
+        K: (3, 3) intrinsics of both rectified images, px.
+        baseline_m: between both cameras.
+        T_robot_rectified: (4, 4) where the rectified left camera sits on the robot.
+        R_rect_left, R_rect_right: (3, 3) each camera's own axes to the rectified ones.
+
+    Raises:
+        CalibrationError: the calibration cannot be rectified.
+    """
+
+    def __init__(self, rig: StereoRig) -> None:
+        self.K, self.baseline_m = rig.K_left, rig.baseline_m
+        self.T_robot_rectified = rig.T_robot_left
+        self.R_rect_left, self.R_rect_right = np.eye(3), np.eye(3)
+        self._maps: list[tuple[npt.NDArray, npt.NDArray]] = []
+        if rig.is_rectified:
+            return
+        R, t = rig.T_right_left[:3, :3], rig.T_right_left[:3, 3:]
+        R_rect_left, R_rect_right, P_left, P_right = cv2.stereoRectify(
+            rig.K_left, rig.D_left, rig.K_right, rig.D_right, rig.size, R, t,
+            flags=cv2.CALIB_ZERO_DISPARITY, alpha=0,
+        )[:4]  # fmt: skip
+        self.K = np.array(P_left[:, :3], np.float64)
+        self.baseline_m = -float(P_right[0, 3] / P_right[0, 0])
+        self.R_rect_left, self.R_rect_right = np.array(R_rect_left), np.array(R_rect_right)
+        _check_rectified(self.K, self.baseline_m, rig)
+        T_left_rectified = np.eye(4)
+        T_left_rectified[:3, :3] = self.R_rect_left.T
+        self.T_robot_rectified = rig.T_robot_left @ T_left_rectified
+        for K, D, R_rect, P in (
+            (rig.K_left, rig.D_left, R_rect_left, P_left),
+            (rig.K_right, rig.D_right, R_rect_right, P_right),
+        ):
+            self._maps.append(
+                cv2.initUndistortRectifyMap(K, D, R_rect, P, rig.size, cv2.CV_32FC1)  # pyright: ignore[reportArgumentType]
+            )
+
+    def left(self, image: Image) -> Image:
+        """The left image (H, W) or (H, W, 3), rectified."""
+        return self._warp(image, 0)
+
+    def right(self, image: Image) -> Image:
+        """The right image, likewise."""
+        return self._warp(image, 1)
+
+    def _warp(self, image: Image, side: int) -> Image:
+        if not self._maps:
+            return image
+        return np.asarray(cv2.remap(image, *self._maps[side], cv2.INTER_LINEAR), np.uint8)
+
+
+def _check_rectified(K: Floats, baseline_m: float, rig: StereoRig) -> None:
+    """Distortion or a rotation that cannot be leave hardly anything of the image, or turn it
+    inside out.
+    """
+    zoom = K[0, 0] / rig.K_left[0, 0]
+    if not np.isfinite(K).all() or baseline_m <= 0 or not 1 / 3 < zoom < 3:
+        raise CalibrationError(
+            f"the calibration cannot be rectified (zoom {zoom:.2g}, baseline {baseline_m:.3g} m): "
+            "check R, t and the distortion, or calibrate again"
+        )
