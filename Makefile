@@ -11,14 +11,15 @@ help: ## Shows what there is.
 
 setup: $(READY) ## Makes the environment in .venv.
 
-$(READY): pyproject.toml constraints.txt scripts/venv.sh
+$(READY): pyproject.toml constraints.txt scripts/venv.sh scripts/links.sh
 	@PYTHON="$(PYTHON)" sh scripts/venv.sh "$(VENV)"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
-	@$(BIN)/python -c 'import pose_server.pairs.align'
+	@sh scripts/links.sh $(VENV)/src
+	@$(BIN)/python -c 'import fleetpose.pose_server.registration.align'
 	@touch $@
 
 demo: $(READY) ## Six robots around a building find each other; q ends it.
-	@$(BIN)/python -m evaluation demo
+	@$(BIN)/python -m fleetpose.evaluation demo
 
 test: $(READY) lint ## Lint, types, import rules and all tests.
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
@@ -27,7 +28,8 @@ lint: $(READY) ## ruff, pyright and the import rules.
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/pyright --pythonpath $(BIN)/python
-	@$(BIN)/lint-imports --no-cache
+	@sh scripts/links.sh -c $(VENV)/lint
+	@PYTHONPATH=$(VENV)/lint $(BIN)/lint-imports --no-cache
 
 format: $(READY) ## Formats the code.
 	@$(BIN)/ruff check --fix .

@@ -37,7 +37,7 @@ def local(
     ] = Path("fleet"),
 ) -> None:
     """Run router, pose server and robots on this machine until Ctrl-C."""
-    from deploy.local_fleet import LocalFleet, wait_running
+    from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 
     sources = [robot_source(text) for text in robots]
     with LocalFleet(directory, site) as fleet:
@@ -56,8 +56,8 @@ def robot_source(text: str) -> tuple[str, str, str]:
     Raises:
         NameRefusedError: it is not of that form.
     """
-    from protocol.errors import NameRefusedError
-    from protocol.keys import checked_name
+    from fleetpose.protocol.errors import NameRefusedError
+    from fleetpose.protocol.keys import checked_name
 
     name, equals, source = text.partition("=")
     camera, colon, data = source.partition(":")
@@ -68,7 +68,7 @@ def robot_source(text: str) -> tuple[str, str, str]:
 
 def main() -> None:
     """Runs the command; errors that a user can mend are one sentence and exit code 2."""
-    from protocol.errors import FleetPoseError
+    from fleetpose.protocol.errors import FleetPoseError
 
     try:
         app()

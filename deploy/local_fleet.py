@@ -17,8 +17,8 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-from protocol.errors import FleetPoseError, UnreachableError
-from protocol.transport import free_port, wait_until
+from fleetpose.protocol.errors import FleetPoseError, UnreachableError
+from fleetpose.protocol.transport import free_port, wait_until
 
 GRACE_S = 3.0
 ROBOT_NICE = 10
@@ -107,7 +107,7 @@ class LocalFleet:
         Raises:
             UnreachableError: it did not, within 15 s.
         """
-        self.start("router", "pose_server", "router", "--listen", self.endpoint)
+        self.start("router", "fleetpose.pose_server", "router", "--listen", self.endpoint)
         self.wait_accepting()
 
     def wait_accepting(self) -> None:
@@ -127,7 +127,7 @@ class LocalFleet:
     def start_server(self, *options: str, state: Path | None = None) -> None:
         """Starts the pose server; its journal is kept in `state`, else in `<directory>/state`."""
         where = ("--state-dir", str(state or self.directory / "state"))
-        self.start("server", "pose_server", "run", *self.connection, *where, *options)
+        self.start("server", "fleetpose.pose_server", "run", *self.connection, *where, *options)
 
     def start_robot(self, name: str, camera: str, data: str, *options: str) -> None:
         """Starts a robot agent with a camera (`views`, `rgbd`, ...) and its folder or endpoint.
@@ -135,7 +135,15 @@ class LocalFleet:
         In the field a robot has a computer of its own; here it must not take the server's.
         """
         source = ("--name", name, "--camera", camera, "--data", data)
-        self.start(name, "robot_agent", "run", *self.connection, *source, *options, nice=ROBOT_NICE)
+        self.start(
+            name,
+            "fleetpose.robot_agent",
+            "run",
+            *self.connection,
+            *source,
+            *options,
+            nice=ROBOT_NICE,
+        )
 
     @property
     def connection(self) -> tuple[str, ...]:

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-
-from evaluation.cli import live
-from evaluation.cli.options import (
+from fleetpose.evaluation.cli import live
+from fleetpose.evaluation.cli.options import (
     Clouds,
     Data,
     MetresPerUnit,
@@ -18,7 +17,7 @@ from evaluation.cli.options import (
     World,
     only_one,
 )
-from evaluation.cli.options import numbers as _numbers
+from fleetpose.evaluation.cli.options import numbers as _numbers
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, rich_markup_mode=None)
 app.add_typer(live.app)
@@ -53,8 +52,8 @@ def pairs(
     ] = True,
 ) -> None:
     """Align every pair of a recording, automatically, and compare with the truth."""
-    from evaluation.bench.pairs.command import run
-    from evaluation.data.reconstructed import in_metres
+    from fleetpose.evaluation.bench.pairs.command import run
+    from fleetpose.evaluation.data.reconstructed import in_metres
 
     data = in_metres(data, metres_per_unit)
     run(data, clouds.value if clouds else None, out, workers, limit, mirror_share, images)
@@ -69,7 +68,7 @@ def trust(
     ] = None,
 ) -> None:
     """Fit the probability of a grave error to some places, and judge it on others."""
-    from evaluation.bench.trust import run
+    from fleetpose.evaluation.bench.trust import run
 
     run(fitted, held_out or [], out)
 
@@ -89,8 +88,8 @@ def align(
     ] = 0.3,
 ) -> None:
     """Align pairs that see enough of the same, beside Open3D and KISS-Matcher with GICP."""
-    from evaluation.bench.align import run
-    from evaluation.data.reconstructed import in_metres
+    from fleetpose.evaluation.bench.align import run
+    from fleetpose.evaluation.data.reconstructed import in_metres
 
     data = in_metres(data, metres_per_unit)
     run(data, clouds.value if clouds else None, out, workers, limit, min_overlap)
@@ -127,8 +126,8 @@ def ring(
     other recipe that is in the folder already is drawn beside this one. `--recipe both` leaves the
     tables in OUT/paper and OUT/full. Quick: --clicks 0,3 --draws 3.
     """
-    from evaluation.bench.ring.command import RingOptions, run
-    from evaluation.data.reconstructed import in_metres
+    from fleetpose.evaluation.bench.ring.command import RingOptions, run
+    from fleetpose.evaluation.data.reconstructed import in_metres
 
     options = RingOptions(
         data=in_metres(data, metres_per_unit),
@@ -163,7 +162,7 @@ def fleet_map(
 
     Writes map.ply, map.png and summary.json.
     """
-    from evaluation.bench.mapping.command import MapOptions, run
+    from fleetpose.evaluation.bench.mapping.command import MapOptions, run
 
     kind = clouds.value if clouds else None
     run(MapOptions(data, kind, robots, first, voxel_m, workers), out)
@@ -208,9 +207,9 @@ def clicks(
     located and gravely off: none is right), told_wrong, and recovered: three right clicks that are
     added afterwards win.
     """
-    from evaluation.bench.clicks import command as clicking
-    from evaluation.bench.clicks import deceived
-    from evaluation.data.reconstructed import in_metres
+    from fleetpose.evaluation.bench.clicks import command as clicking
+    from fleetpose.evaluation.bench.clicks import deceived
+    from fleetpose.evaluation.data.reconstructed import in_metres
 
     low, high = _numbers("--angles", angles, 2)
     fewest, most = _from_to("--clicks", clicks)
@@ -253,7 +252,7 @@ def synth(
     Then run it: `pose-eval ring --data OUT --clouds stereo_dense --out RESULTS`; a plan:
     `pose-eval pairs --data OUT --clouds stereo_dense --out RESULTS`.
     """
-    from evaluation.bench.synth import SynthOptions, run
+    from fleetpose.evaluation.bench.synth import SynthOptions, run
 
     run(out, SynthOptions(robots, seed, world.value if world else None, unique), workers)
 
@@ -280,7 +279,7 @@ def persist(
     the server does it. Without them each pair of views begins anew. The paper's ICP alone is
     measured beside both.
     """
-    from evaluation.bench.persist.command import PersistOptions, run
+    from fleetpose.evaluation.bench.persist.command import PersistOptions, run
 
     run(PersistOptions(data, views, clicks, runs, separation, workers, seed), out)
 
@@ -302,7 +301,7 @@ def solve(
     Half of the edges are there at first, the others come one by one. Robots are joined by a tree
     of right edges; wrong ones are as sure of themselves as the right ones.
     """
-    from evaluation.bench import solve as solving
+    from fleetpose.evaluation.bench import solve as solving
 
     if g2o is not None:
         solving.run_recorded(g2o, out)
@@ -330,8 +329,8 @@ def questions(
     questions are answered by the next window, one step along, left for right, or by one such point
     among right ones. Writes runs.csv, summary.json and clicks.png.
     """
-    from evaluation.bench.questions.command import QuestionsOptions, run
-    from evaluation.data.reconstructed import in_metres
+    from fleetpose.evaluation.bench.questions.command import QuestionsOptions, run
+    from fleetpose.evaluation.data.reconstructed import in_metres
 
     kind = clouds.value if clouds else None
     data = in_metres(data, metres_per_unit)
@@ -352,8 +351,8 @@ def hmi(
     poses and errors of a fleet at 10 Hz and two images at 5 Hz; then pick targets by keys and by
     mouse in a real terminal (tmux).
     """
-    from evaluation.system.terminal.hmi import HmiOptions, run
-    from hmi_client.cli.commands import size_of
+    from fleetpose.evaluation.system.terminal.hmi import HmiOptions, run
+    from fleetpose.hmi_client.cli.commands import size_of
 
     run(HmiOptions(robots, seconds, moving, targets, *size_of(size)), out)
 
@@ -367,7 +366,7 @@ def stand_in(
     site: Annotated[str, typer.Option(help="Name of the site.")] = "demo",
 ) -> None:
     """Say what a server and robots would say, for `hmi`."""
-    from evaluation.system.terminal.stand_in import Load, run
+    from fleetpose.evaluation.system.terminal.stand_in import Load, run
 
     run(Load(robots, moving=moving), tuple(connect or ()), site, notes)
 
@@ -393,9 +392,9 @@ def operate(
     """Join a fleet in two pieces by keys alone: the text client in a real terminal (tmux), and a
     simulated person who sees what is on it. Writes every screen and summary.json.
     """
-    from evaluation.data.reconstructed import all_in_metres
-    from evaluation.system.terminal.operate import OperateOptions, run
-    from hmi_client.cli.commands import size_of
+    from fleetpose.evaluation.data.reconstructed import all_in_metres
+    from fleetpose.evaluation.system.terminal.operate import OperateOptions, run
+    from fleetpose.hmi_client.cli.commands import size_of
 
     kind = clouds.value if clouds else None
     how = (by_hand, kill_server, *size_of(size))
@@ -406,7 +405,7 @@ def operate(
 @app.command()
 def stereo(out: Out) -> None:
     """Play a stereo video of the synthetic world; check calibrations, right and wrong."""
-    from evaluation.bench.stereo import run
+    from fleetpose.evaluation.bench.stereo import run
 
     run(out)
 
@@ -420,8 +419,8 @@ def wire(
     views: Annotated[int, typer.Option(min=1, help="So many, spread evenly.")] = 10,
 ) -> None:
     """Measure the cloud codecs beside PNG, Draco and raw numbers."""
-    from evaluation.bench.wire import run
-    from evaluation.data.reconstructed import in_metres
+    from fleetpose.evaluation.bench.wire import run
+    from fleetpose.evaluation.data.reconstructed import in_metres
 
     data = in_metres(data, metres_per_unit)
     run(data, clouds.value if clouds else None, out, views)
@@ -437,7 +436,7 @@ def _from_to(option: str, text: str) -> tuple[int, int]:
     (low,) = _numbers(option, first, 1)
     (high,) = _numbers(option, last, 1) if dots else (low,)
     if not 0 <= low <= high:
-        from protocol.errors import FleetPoseError
+        from fleetpose.protocol.errors import FleetPoseError
 
         raise FleetPoseError(f"{option} {text!r}: write a number like 3, or from..to like 3..6")
     return low, high
@@ -445,7 +444,7 @@ def _from_to(option: str, text: str) -> tuple[int, int]:
 
 def main() -> None:
     """Runs the command; errors that a user can mend are one sentence and exit code 2."""
-    from protocol.errors import FleetPoseError
+    from fleetpose.protocol.errors import FleetPoseError
 
     try:
         app()

@@ -1,8 +1,8 @@
-"""`hmi-client`, also as `python -m hmi_client`: one place where errors become sentences."""
+"""`hmi-client`: one place where errors become sentences."""
 
 import sys
 
-from protocol.errors import FleetPoseError, UnreachableError
+from fleetpose.protocol.errors import FleetPoseError, UnreachableError
 
 EXTRA = {"cv2", "textual", "rich"}
 
@@ -10,7 +10,7 @@ EXTRA = {"cv2", "textual", "rich"}
 def main() -> None:
     """Runs the command; bad input exits with 2, an unreachable fleet with 3."""
     try:
-        from hmi_client.cli.commands import app
+        from fleetpose.hmi_client.cli.commands import app
 
         app()
     except UnreachableError as error:

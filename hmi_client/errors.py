@@ -1,6 +1,6 @@
 """What an operator can do wrong; each sentence says what to do instead."""
 
-from protocol.errors import FleetPoseError, UnreachableError
+from fleetpose.protocol.errors import FleetPoseError, UnreachableError
 
 
 class OperatorError(FleetPoseError):

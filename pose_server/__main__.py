@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import typer
-
-from protocol.errors import FleetPoseError
+from fleetpose.protocol.errors import FleetPoseError
 
 if TYPE_CHECKING:
-    from pose_server.mapping.files import MapFiles
-    from pose_server.mapping.scene import Scene
+    from fleetpose.pose_server.mapping.files import MapFiles
+    from fleetpose.pose_server.mapping.scene import Scene
 
 T = TypeVar("T")
 
@@ -67,7 +66,7 @@ def run(
     """Runs the pose server. With neither --listen nor --connect it is its own router on port
     7447.
     """
-    from pose_server.settings import ServerSettings
+    from fleetpose.pose_server.settings import ServerSettings
 
     given = {
         k: v
@@ -80,8 +79,8 @@ def run(
     if dump_config:
         print(settings.model_dump_json(indent=2))
         return
-    from pose_server.app.build import build
-    from pose_server.app.process import serve
+    from fleetpose.pose_server.app.build import build
+    from fleetpose.pose_server.app.process import serve
 
     serve(lambda: build(settings))
 
@@ -102,7 +101,7 @@ def router(
     On a machine that others connect to: --listen tcp/0.0.0.0:7447. It then lets in everybody who
     reaches it, unencrypted, unless a configuration says otherwise.
     """
-    from pose_server.app.router import route
+    from fleetpose.pose_server.app.router import route
 
     route(tuple(listen or ["tcp/127.0.0.1:7447"]), config)
 
@@ -140,8 +139,8 @@ def export_session(
     all located robots. Each robot has one colour, and in the PLY file a number (`robot`, names in
     its header). Points whose depth is known worse than to 5 % of the scene's depth are left out.
     """
-    from pose_server.mapping.files import MapFiles
-    from pose_server.persistence.export import export
+    from fleetpose.pose_server.mapping.files import MapFiles
+    from fleetpose.pose_server.persistence.export import export
 
     files = MapFiles(map_file, picture, voxel_m)
     written = export(state_dir, out, files, lambda views: _watched(views, "views"))
@@ -187,7 +186,7 @@ def import_session(
     journal or in the folder `views` beside the file. What is there already is skipped. Ends with 1
     if anything was refused, and says what and why.
     """
-    from pose_server.persistence.importing import import_files
+    from fleetpose.pose_server.persistence.importing import import_files
 
     found = import_files(state_dir, files)
     for place, reason in found.refused:

@@ -10,41 +10,40 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
-
-from pose_server.calibration.monitor import note_depths, note_mirror
-from pose_server.consistency.anchoring import choose_anchor, gauge_of
-from pose_server.consistency.doubts import reconsider
-from pose_server.consistency.repetition import believed, note_refuted, note_repetition
-from pose_server.correspondences.on_keyframes import (
+from fleetpose.pose_server.calibration.monitor import note_depths, note_mirror
+from fleetpose.pose_server.consistency.anchoring import choose_anchor, gauge_of
+from fleetpose.pose_server.consistency.doubts import reconsider
+from fleetpose.pose_server.consistency.repetition import believed, note_refuted, note_repetition
+from fleetpose.pose_server.correspondences.on_keyframes import (
     click_factors,
     clicks_between,
     judge,
     note_heard,
 )
-from pose_server.correspondences.store import Outcome
-from pose_server.frontend.frames import on_keyframes
-from pose_server.frontend.localization import (
+from fleetpose.pose_server.correspondences.store import Outcome
+from fleetpose.pose_server.frontend.frames import on_keyframes
+from fleetpose.pose_server.frontend.localization import (
     back_job,
     followed,
     look_back,
     newest_arrived,
     track_job,
 )
-from pose_server.frontend.tracks import Attached, accepted
-from pose_server.pose_graph.graph import solve_fleet
-from pose_server.pose_graph.types import GRAVE_BY_VERDICT, Edge, SolveSettings
-from pose_server.questions.feedback import note_clicks, note_selection, note_solved
-from pose_server.registration.refinement import Start
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.scheduling import pair_queue
-from pose_server.scheduling.affine_retries import note_open, wide_job
-from pose_server.state.pairs import RobotPair
-from pose_server.state.site import Site
-from pose_server.state.views import KeptView
-from pose_server.workers.jobs import Done, Job
-from protocol.errors import CodecError
-from protocol.keys import ordered_pair
-from protocol.messages import OperatorUpdate, Selection, ViewName
+from fleetpose.pose_server.frontend.tracks import Attached, accepted
+from fleetpose.pose_server.pose_graph.graph import solve_fleet
+from fleetpose.pose_server.pose_graph.types import GRAVE_BY_VERDICT, Edge, SolveSettings
+from fleetpose.pose_server.questions.feedback import note_clicks, note_selection, note_solved
+from fleetpose.pose_server.registration.refinement import Start
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.scheduling import pair_queue
+from fleetpose.pose_server.scheduling.affine_retries import note_open, wide_job
+from fleetpose.pose_server.state.pairs import RobotPair
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import KeptView
+from fleetpose.pose_server.workers.jobs import Done, Job
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.messages import OperatorUpdate, Selection, ViewName
 
 _COVARIANCES_AT_ONCE = 24  # made anew in a solve
 _SHARES = {"track": 4.0, "pair": 4.0, "wide": 2.0, "search": 2.0}  # of work nobody looks at

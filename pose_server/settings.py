@@ -3,12 +3,11 @@
 import os
 from pathlib import Path
 
+from fleetpose.pose_server.geometry.icp import Method
+from fleetpose.pose_server.scheduling.settings import Weights
+from fleetpose.pose_server.workers.jobs import RecipeName
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
-
-from pose_server.geometry.icp import Method
-from pose_server.scheduling.settings import Weights
-from pose_server.workers.jobs import RecipeName
 
 
 class ServerSettings(BaseSettings):

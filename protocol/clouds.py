@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-
-from protocol.codec import compress, decompress
-from protocol.errors import CodecError
-from protocol.messages import Camera, DepthCloud, Salient, ScatteredCloud, View
+from fleetpose.protocol.codec import compress, decompress
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.messages import Camera, DepthCloud, Salient, ScatteredCloud, View
 
 Floats = npt.NDArray[np.float64]
 MAX_CLOUD_PIXELS = 4_200_000  # more make a server work for seconds, and compress to almost nothing

@@ -8,7 +8,7 @@ import re
 import threading
 from collections import Counter
 
-from protocol.text import one_line
+from fleetpose.protocol.text import one_line
 
 log = logging.getLogger(__name__)
 MAX_REASONS = 100  # texts may come from whoever sends: neither table may grow with them

@@ -6,7 +6,7 @@ Every key begins with `fleet/<site>/`. Names of sites, robots and operators are 
 import re
 from dataclasses import dataclass
 
-from protocol.errors import NameRefusedError
+from fleetpose.protocol.errors import NameRefusedError
 
 NAME_PATTERN = r"^[a-z0-9_-]{1,32}$"
 _NAME = re.compile(NAME_PATTERN)

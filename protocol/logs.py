@@ -8,7 +8,7 @@ import logging.handlers
 import time
 from pathlib import Path
 
-from protocol.text import one_line
+from fleetpose.protocol.text import one_line
 
 MAX_FILE_BYTES = 10_000_000  # then the file is begun anew, and the one before is kept
 

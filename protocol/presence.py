@@ -6,10 +6,10 @@ import re
 import threading
 import time
 
-from protocol.errors import CodecError, NameTakenError
-from protocol.keys import Keys
-from protocol.messages.fields import EPOCH_PATTERN
-from protocol.transport import Link, wait_until
+from fleetpose.protocol.errors import CodecError, NameTakenError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages.fields import EPOCH_PATTERN
+from fleetpose.protocol.transport import Link, wait_until
 
 LEASE_S = 2.0
 """So long a process that died without a word still seems alive."""

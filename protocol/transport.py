@@ -16,11 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
+from fleetpose.protocol.errors import FleetPoseError, UnreachableError
+from fleetpose.protocol.slots import Sample, Slots
+from fleetpose.protocol.text import one_line
 from zenoh import ext
-
-from protocol.errors import FleetPoseError, UnreachableError
-from protocol.slots import Sample, Slots
-from protocol.text import one_line
 
 ENCODING_JPEG = "image/jpeg"
 MAX_REASON_BYTES = 500  # of an error reply

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-
-from protocol.errors import FleetPoseError
-from protocol.logs import log_to_stderr
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.logs import log_to_stderr
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
 
@@ -111,14 +110,14 @@ def run(
         "config": config,
         "takeover": takeover or None,
     }
-    from robot_agent.settings import RobotSettings
+    from fleetpose.robot_agent.settings import RobotSettings
 
     loaded = RobotSettings.load(settings, given)
     if dump_config:
         typer.echo(loaded.model_dump_json(indent=2))
         return
 
-    from robot_agent import agent
+    from fleetpose.robot_agent import agent
 
     log_to_stderr()
     stop = threading.Event()
@@ -157,8 +156,8 @@ def calibrate_check(
 
     Ends with 0 where it fits, with 1 where it does not or cannot be told.
     """
-    from robot_agent.cameras.stereo.video import video_settings
-    from robot_agent.checking.command import CheckOptions, run
+    from fleetpose.robot_agent.cameras.stereo.video import video_settings
+    from fleetpose.robot_agent.checking.command import CheckOptions, run
 
     log_to_stderr(logging.WARNING)
     video = video_settings(size, fps, fourcc, 10.0 if max_skew_ms is None else max_skew_ms)

@@ -8,13 +8,12 @@ from collections.abc import Iterator
 from typing import TypeVar
 
 import cv2
-
-from protocol.transport import SessionSettings
-from robot_agent.cameras.factory import open_camera
-from robot_agent.cameras.stereo.video import video_settings
-from robot_agent.client import FleetRobot
-from robot_agent.sender import SenderSettings
-from robot_agent.settings import RobotSettings
+from fleetpose.protocol.transport import SessionSettings
+from fleetpose.robot_agent.cameras.factory import open_camera
+from fleetpose.robot_agent.cameras.stereo.video import video_settings
+from fleetpose.robot_agent.client import FleetRobot
+from fleetpose.robot_agent.sender import SenderSettings
+from fleetpose.robot_agent.settings import RobotSettings
 
 log = logging.getLogger(__name__)
 

@@ -16,19 +16,24 @@ from typing import Self
 
 import numpy as np
 import numpy.typing as npt
-
-from protocol.codec import encoding_of, pack, unpack
-from protocol.drops import Drops
-from protocol.errors import CalibrationError, CodecError, UnreachableError
-from protocol.keys import EVERY_SERVER, Keys, checked_name, new_epoch, site_of
-from protocol.messages import Camera, Odometry, RelativePose, RobotPose, ViewName, WhyNot
-from protocol.presence import LiveServer, Presence
-from protocol.transport import Link, SessionSettings, open_session
-from robot_agent.cameras.base import DepthImage, DisparityImage, Frame, Ranges, ScatteredPoints
-from robot_agent.cameras.frozen import Repeats
-from robot_agent.features.depth_picture import picture_of
-from robot_agent.poses import PoseBoard
-from robot_agent.sender import Sender, SenderSettings
+from fleetpose.protocol.codec import encoding_of, pack, unpack
+from fleetpose.protocol.drops import Drops
+from fleetpose.protocol.errors import CalibrationError, CodecError, UnreachableError
+from fleetpose.protocol.keys import EVERY_SERVER, Keys, checked_name, new_epoch, site_of
+from fleetpose.protocol.messages import Camera, Odometry, RelativePose, RobotPose, ViewName, WhyNot
+from fleetpose.protocol.presence import LiveServer, Presence
+from fleetpose.protocol.transport import Link, SessionSettings, open_session
+from fleetpose.robot_agent.cameras.base import (
+    DepthImage,
+    DisparityImage,
+    Frame,
+    Ranges,
+    ScatteredPoints,
+)
+from fleetpose.robot_agent.cameras.frozen import Repeats
+from fleetpose.robot_agent.features.depth_picture import picture_of
+from fleetpose.robot_agent.poses import PoseBoard
+from fleetpose.robot_agent.sender import Sender, SenderSettings
 
 log = logging.getLogger(__name__)
 

@@ -5,13 +5,13 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
-from protocol.codec import unpack
-from protocol.drops import Drops
-from protocol.errors import CodecError, FleetPoseError
-from protocol.keys import Keys
-from protocol.messages import RobotPose
-from protocol.presence import LiveServer
-from protocol.transport import Sample
+from fleetpose.protocol.codec import unpack
+from fleetpose.protocol.drops import Drops
+from fleetpose.protocol.errors import CodecError, FleetPoseError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import RobotPose
+from fleetpose.protocol.presence import LiveServer
+from fleetpose.protocol.transport import Sample
 
 MAX_WAITING = 4096
 MAX_ROBOTS = 1000

@@ -6,12 +6,11 @@ from collections import deque
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from protocol.codec import encoding_of, pack
-from protocol.errors import CodecError
-from protocol.messages import ImageHeader, KeptView, View
-from protocol.transport import Answer
-from robot_agent.features.affine_keypoints import wide_view
+from fleetpose.protocol.codec import encoding_of, pack
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.messages import ImageHeader, KeptView, View
+from fleetpose.protocol.transport import Answer
+from fleetpose.robot_agent.features.affine_keypoints import wide_view
 
 JPEG_QUALITY = 85
 WIDE_KEPT = 8  # of the wide sets of salient points

@@ -9,10 +9,10 @@ import threading
 import time
 from dataclasses import dataclass
 
-from protocol.codec import encoding_of, pack
-from protocol.errors import FleetPoseError
-from protocol.keys import Keys
-from protocol.messages import (
+from fleetpose.protocol.codec import encoding_of, pack
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import (
     Camera,
     CameraAnnouncement,
     ImageHeader,
@@ -20,11 +20,11 @@ from protocol.messages import (
     View,
     ViewName,
 )
-from protocol.transport import ENCODING_JPEG, Link
-from robot_agent.cameras.base import Frame
-from robot_agent.features.keypoints import salient_of
-from robot_agent.features.packing import view_of
-from robot_agent.recent_views import JPEG_QUALITY, KeptViews, kept_view
+from fleetpose.protocol.transport import ENCODING_JPEG, Link
+from fleetpose.robot_agent.cameras.base import Frame
+from fleetpose.robot_agent.features.keypoints import salient_of
+from fleetpose.robot_agent.features.packing import view_of
+from fleetpose.robot_agent.recent_views import JPEG_QUALITY, KeptViews, kept_view
 
 log = logging.getLogger(__name__)
 

@@ -1,8 +1,7 @@
 """Shared by all tests: a router of a test's own, on this machine."""
 
 import pytest
-
-from protocol.transport import SessionSettings, free_port, open_session
+from fleetpose.protocol.transport import SessionSettings, free_port, open_session
 
 
 class Router:

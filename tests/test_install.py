@@ -53,13 +53,11 @@ def test_the_closure_is_found_at_all(extra, brings):
 
 def test_every_package_of_the_project_is_installed():
     root = Path(__file__).parent.parent
-    told = set(
-        tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
-    )
+    told = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]
+    folders = told["package-dir"]
     there = {
-        ".".join(init.parent.relative_to(root).parts)
-        for top in told
-        if "." not in top
-        for init in (root / top).rglob("__init__.py")
+        ".".join((name, *init.parent.relative_to(root / folder).parts))
+        for name, folder in folders.items()
+        for init in (root / folder).rglob("__init__.py")
     }
-    assert told == there
+    assert set(told["packages"]) == there

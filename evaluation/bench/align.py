@@ -13,28 +13,28 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from evaluation.bench.align_worker import Timed, align_ours, align_peers, missing_peers
-from evaluation.bench.baselines import PEERS, VOXEL_M
-from evaluation.bench.pairs.command import as_done, limited, on_the_wire, pairs_of
-from evaluation.bench.pairs.worker import true_overlap, use_one_thread
-from evaluation.data.opening import median_depth_m, open_recording
-from evaluation.data.recording import CloudKind, Recording, TrueView, shared_tracks
-from evaluation.metrics.geometry import Floats, inverse
-from evaluation.metrics.scoring import (
+from fleetpose.evaluation.bench.align_worker import Timed, align_ours, align_peers, missing_peers
+from fleetpose.evaluation.bench.baselines import PEERS, VOXEL_M
+from fleetpose.evaluation.bench.pairs.command import as_done, limited, on_the_wire, pairs_of
+from fleetpose.evaluation.bench.pairs.worker import true_overlap, use_one_thread
+from fleetpose.evaluation.data.opening import median_depth_m, open_recording
+from fleetpose.evaluation.data.recording import CloudKind, Recording, TrueView, shared_tracks
+from fleetpose.evaluation.metrics.geometry import Floats, inverse
+from fleetpose.evaluation.metrics.scoring import (
     Limits,
     percentile,
     position_error_m,
     rotation_error_deg,
     share,
 )
-from evaluation.report.output import (
+from fleetpose.evaluation.report.output import (
     output_folder,
     print_table,
     progress_bar,
     write_csv,
     write_summary,
 )
-from protocol.errors import DataFolderError
+from fleetpose.protocol.errors import DataFolderError
 
 OURS = "fleetpose"
 MIN_SHARED = 30

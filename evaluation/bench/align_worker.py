@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-
-from evaluation.bench.baselines import PEERS, Peer, PeerMissingError, Sight
-from evaluation.bench.pairs.worker import CACHED_VIEWS, of_wide, widen
-from evaluation.data.anonymize import StrippedFolder
-from evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.bench.baselines import PEERS, Peer, PeerMissingError, Sight
+from fleetpose.evaluation.bench.pairs.worker import CACHED_VIEWS, of_wide, widen
+from fleetpose.evaluation.data.anonymize import StrippedFolder
+from fleetpose.evaluation.metrics.geometry import Floats
 
 Result = TypeVar("Result")
 
@@ -44,10 +43,10 @@ def align_ours(wire_i: Path, wire_j: Path) -> Timed:
     before are timed from the bytes to the pose, and the same ones once more. Where the usual
     salient points do not settle a pair, `whole_ms` has what their wide sets cost the robots too.
     """
-    from pose_server.registration.align import align_pair, align_wide, is_settled
-    from pose_server.registration.prepared_view import prepare_view
-    from protocol import codec
-    from protocol.messages import View
+    from fleetpose.pose_server.registration.align import align_pair, align_wide, is_settled
+    from fleetpose.pose_server.registration.prepared_view import prepare_view
+    from fleetpose.protocol import codec
+    from fleetpose.protocol.messages import View
 
     def view_in(file: Path) -> View:
         return codec.unpack(View, file.read_bytes())
@@ -121,10 +120,10 @@ def _prepared(prepare: Callable[[Sight], Any], wire: Path, scale: float) -> tupl
 
 def _sight(wire: Path, scale: float) -> Sight:
     """The points that a robot sent, and the image that it had, from its stripped folder beside."""
-    from protocol import codec
-    from protocol.clouds import points_of
-    from protocol.messages import View
-    from robot_agent.cameras.factory import open_camera
+    from fleetpose.protocol import codec
+    from fleetpose.protocol.clouds import points_of
+    from fleetpose.protocol.messages import View
+    from fleetpose.robot_agent.cameras.factory import open_camera
 
     folder = StrippedFolder(wire.with_suffix(""), ())
     frame = next(iter(open_camera(folder.camera, str(folder.path), "once").frames()))

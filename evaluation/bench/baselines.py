@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-
-from evaluation.metrics.geometry import Floats, rigid
-from protocol.errors import FleetPoseError
+from fleetpose.evaluation.metrics.geometry import Floats, rigid
+from fleetpose.protocol.errors import FleetPoseError
 
 VOXEL_M = 0.05
 NORMAL_RADIUS_M, NORMAL_NEIGHBOURS = 2 * VOXEL_M, 30

@@ -9,21 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from evaluation.metrics.geometry import Floats, inverse
-from evaluation.metrics.scoring import percentile
-from evaluation.report.output import (
+from fleetpose.evaluation.metrics.geometry import Floats, inverse
+from fleetpose.evaluation.metrics.scoring import percentile
+from fleetpose.evaluation.report.output import (
     new_figure,
     output_folder,
     print_table,
     progress_bar,
     write_summary,
 )
-from pose_server.geometry.se3 import adjoint, exp_so3, make_pose
-from pose_server.pose_graph.graph import solve_fleet
-from pose_server.pose_graph.types import Edge, FleetSolution, SolveSettings
-from protocol.errors import DataFolderError, FleetPoseError
-from protocol.messages import ViewName
+from fleetpose.pose_server.geometry.se3 import adjoint, exp_so3, make_pose
+from fleetpose.pose_server.pose_graph.graph import solve_fleet
+from fleetpose.pose_server.pose_graph.types import Edge, FleetSolution, SolveSettings
+from fleetpose.protocol.errors import DataFolderError, FleetPoseError
+from fleetpose.protocol.messages import ViewName
 
 EPOCH = "0" * 12
 AREA_M = 40.0  # robots stand anywhere in a square of this side

@@ -17,10 +17,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-
-from deploy.local_fleet import LocalFleet, wait_running
-from evaluation.report.output import output_folder, print_table, write_csv, write_summary
-from evaluation.simulate.stereo_video import (
+from fleetpose.deploy.local_fleet import LocalFleet, wait_running
+from fleetpose.evaluation.report.output import output_folder, print_table, write_csv, write_summary
+from fleetpose.evaluation.simulate.stereo_video import (
     BOARD,
     FPS,
     FRAMES_PER_STATION,
@@ -28,11 +27,11 @@ from evaluation.simulate.stereo_video import (
     StereoVideo,
     make_video,
 )
-from protocol.errors import FleetPoseError
-from protocol.messages import ROBOT_FROM_CAMERA
-from robot_agent.cameras.base import DisparityImage, Frame
-from robot_agent.cameras.stereo.matching import open_camera
-from robot_agent.cameras.stereo.rig import StereoRig, content_of
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.messages import ROBOT_FROM_CAMERA
+from fleetpose.robot_agent.cameras.base import DisparityImage, Frame
+from fleetpose.robot_agent.cameras.stereo.matching import open_camera
+from fleetpose.robot_agent.cameras.stereo.rig import StereoRig, content_of
 
 AGENT_VIEWS = 15
 CHECK_PAIRS = 5
@@ -122,7 +121,7 @@ def checked(
     file.write_text(json.dumps(content_of(rig)))
     interval_s = 0.95 * FRAMES_PER_STATION / FPS
     command = [
-        *(sys.executable, "-P", "-m", "robot_agent", "calibrate-check", "--json"),
+        *(sys.executable, "-P", "-m", "fleetpose.robot_agent", "calibrate-check", "--json"),
         *("--data", str(video.path), "--calibration", str(file)),
         *("--pairs", str(CHECK_PAIRS), "--interval", str(interval_s)),
         *("--length", str(SQUARE_M), "--board", f"{BOARD[0]}x{BOARD[1]}"),

@@ -15,16 +15,15 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from evaluation.bench.clicks.truth import DEPTH_FOLDER
-from evaluation.bench.working import as_done, worker_pool
-from evaluation.data.rgbd import DEPTH_UNIT_M
-from evaluation.metrics.geometry import Floats, inverse, transform
-from evaluation.report.output import output_folder, progress_bar
-from evaluation.simulate.world import PLANS, PlanWorld, RingWorld, World
-from protocol.errors import FleetPoseError
-from robot_agent.cameras.base import DisparityImage, Frame
-from robot_agent.cameras.stereo.matching import StereoMatcher
+from fleetpose.evaluation.bench.clicks.truth import DEPTH_FOLDER
+from fleetpose.evaluation.bench.working import as_done, worker_pool
+from fleetpose.evaluation.data.rgbd import DEPTH_UNIT_M
+from fleetpose.evaluation.metrics.geometry import Floats, inverse, transform
+from fleetpose.evaluation.report.output import output_folder, progress_bar
+from fleetpose.evaluation.simulate.world import PLANS, PlanWorld, RingWorld, World
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.robot_agent.cameras.base import DisparityImage, Frame
+from fleetpose.robot_agent.cameras.stereo.matching import StereoMatcher
 
 DENSE_POINTS = 20_000
 NOISY_PIXEL_SIGMA_PX = 0.7

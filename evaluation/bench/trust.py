@@ -12,14 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
-
-from evaluation.metrics.geometry import Floats
-from evaluation.metrics.reliability import expected_calibration_error, plot_reliability
-from evaluation.report.output import output_folder, print_table, write_summary
-from pose_server.registration.verdict.evidence import Evidence
-from pose_server.registration.verdict.explained import Explained
-from pose_server.registration.verdict.grave_probability import (
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.metrics.reliability import expected_calibration_error, plot_reliability
+from fleetpose.evaluation.report.output import output_folder, print_table, write_summary
+from fleetpose.pose_server.registration.verdict.evidence import Evidence
+from fleetpose.pose_server.registration.verdict.explained import Explained
+from fleetpose.pose_server.registration.verdict.grave_probability import (
     CHI2_SIGNS,
     SIGNS,
     TrustModel,
@@ -29,8 +27,9 @@ from pose_server.registration.verdict.grave_probability import (
     shares,
     signs,
 )
-from pose_server.registration.verdict.words import judge
-from protocol.errors import DataFolderError
+from fleetpose.pose_server.registration.verdict.words import judge
+from fleetpose.protocol.errors import DataFolderError
+from scipy.optimize import minimize
 
 # Of the weights, in units of their signs' scatter: every sign is expected to speak, the pairs at
 # hand must not silence one that happens to say little in them.

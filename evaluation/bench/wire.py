@@ -9,21 +9,20 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-
-from evaluation.data.anonymize import noise_model
-from evaluation.data.opening import open_recording, points_of
-from evaluation.data.recording import CloudKind, Recording, TrueView
-from evaluation.data.rgbd import DEPTH_UNIT_M, read_depth
-from evaluation.metrics.geometry import Floats
-from evaluation.report.output import (
+from fleetpose.evaluation.data.anonymize import noise_model
+from fleetpose.evaluation.data.opening import open_recording, points_of
+from fleetpose.evaluation.data.recording import CloudKind, Recording, TrueView
+from fleetpose.evaluation.data.rgbd import DEPTH_UNIT_M, read_depth
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.report.output import (
     output_folder,
     print_table,
     progress_bar,
     write_csv,
     write_summary,
 )
-from protocol import clouds, codec
-from protocol.messages import (
+from fleetpose.protocol import clouds, codec
+from fleetpose.protocol.messages import (
     ROBOT_FROM_CAMERA,
     Camera,
     DepthCloud,
@@ -31,10 +30,10 @@ from protocol.messages import (
     ScatteredCloud,
     ViewName,
 )
-from robot_agent.cameras.base import DepthImage, Frame, ScatteredPoints
-from robot_agent.cameras.folders.rgbd import KINECT_NOISE
-from robot_agent.features.keypoints import salient_points
-from robot_agent.features.packing import cloud_of, view_of
+from fleetpose.robot_agent.cameras.base import DepthImage, Frame, ScatteredPoints
+from fleetpose.robot_agent.cameras.folders.rgbd import KINECT_NOISE
+from fleetpose.robot_agent.features.keypoints import salient_points
+from fleetpose.robot_agent.features.packing import cloud_of, view_of
 
 COLUMNS = ("codec", "bits_per_point", "error_max_m", "encode_ms", "decode_ms")
 REPETITIONS = 7
@@ -122,7 +121,7 @@ def run(data: Path, kind: CloudKind | None, out: Path, limit: int = 10) -> dict[
 
 def default_salient() -> int:
     """So many salient points does an agent send, if not told."""
-    from robot_agent.sender import SenderSettings
+    from fleetpose.robot_agent.sender import SenderSettings
 
     return SenderSettings().max_salient
 

@@ -11,10 +11,10 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from pathlib import Path
 from typing import Any
 
-from evaluation.bench.pairs.worker import encode, use_one_thread
-from evaluation.data.anonymize import random_name, strip
-from evaluation.data.mirror import mirror_folder
-from evaluation.data.recording import Recording, TrueView
+from fleetpose.evaluation.bench.pairs.worker import encode, use_one_thread
+from fleetpose.evaluation.data.anonymize import random_name, strip
+from fleetpose.evaluation.data.mirror import mirror_folder
+from fleetpose.evaluation.data.recording import Recording, TrueView
 
 _PR_SET_PDEATHSIG = 1  # of Linux, see prctl(2)
 

@@ -4,8 +4,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-
-from evaluation.cli.options import (
+from fleetpose.evaluation.cli.options import (
     Clouds,
     MetresPerUnit,
     Mistakes,
@@ -69,13 +68,13 @@ def fleet(
     until nothing is left to align. Prints a line for each recording, the worst first, and every
     robot that is located and gravely off; writes summary.json and robots.csv.
     """
-    from evaluation.data.reconstructed import all_in_metres
+    from fleetpose.evaluation.data.reconstructed import all_in_metres
 
     sets = all_in_metres(data or (), metres_per_unit)
     kind = clouds.value if clouds else None
     named = tuple(numbers("--views", views)) if views else ()
     if offline:
-        from evaluation.bench.offline import command
+        from fleetpose.evaluation.bench.offline import command
 
         refuse_offline(
             {
@@ -92,7 +91,7 @@ def fleet(
         drawn = command.OfflineOptions(sets, kind, seeds, robots, named, workers)
         command.run(drawn, out)
         return
-    from evaluation.system.fleet import FleetOptions, run
+    from fleetpose.evaluation.system.fleet import FleetOptions, run
 
     options = FleetOptions(
         robots=robots or 6,
@@ -141,8 +140,8 @@ def restarts(
     camera were tracked by that camera: they are judged against 0.05 m of noise in their own poses,
     and it is said.
     """
-    from evaluation.data.reconstructed import all_in_metres
-    from evaluation.system.restarts import RestartsOptions, run
+    from fleetpose.evaluation.data.reconstructed import all_in_metres
+    from fleetpose.evaluation.system.restarts import RestartsOptions, run
 
     kind, sets = clouds.value if clouds else None, all_in_metres(data or (), metres_per_unit)
     run(RestartsOptions(restarts, robots, seconds, sets, kind, workers, seed, offline), out)
@@ -176,7 +175,7 @@ def faults(
     through the scene, freeze a camera, carry robots away (--inject), and see whether it is named
     and does harm. 0: not this.
     """
-    from evaluation.system.faults.command import FaultOptions, run
+    from fleetpose.evaluation.system.faults.command import FaultOptions, run
 
     usual = not inject
     options = FaultOptions(
@@ -200,7 +199,7 @@ def load(
     frames: Annotated[int, typer.Option(min=1, help="Of each camera, shown in turn.")] = 1,
 ) -> None:
     """Replay views of several robots that were encoded beforehand."""
-    from evaluation.simulate.replay_robots import Source, run
+    from fleetpose.evaluation.simulate.replay_robots import Source, run
 
     run([Source.parse(text) for text in robot], tuple(connect), site, rate, frames)
 
@@ -212,7 +211,7 @@ def fuzz(
     seed: Annotated[int, typer.Option(help="Which.")] = 0,
 ) -> None:
     """Send malformed, truncated, oversize and bomb payloads to every subscribed key of a fleet."""
-    from evaluation.system.fuzz.command import passed, run
+    from fleetpose.evaluation.system.fuzz.command import passed, run
 
     raise typer.Exit(0 if passed(run(messages, out, seed)) else 1)
 
@@ -224,7 +223,7 @@ def demo(
     headless: Annotated[bool, typer.Option("--headless", help="Without a screen.")] = False,
 ) -> None:
     """Run a fleet in the synthetic world: on a terminal with the operator's screen."""
-    from evaluation.system.demo import run, without_screen
+    from fleetpose.evaluation.system.demo import run, without_screen
 
     raise typer.Exit(run(robots, seconds, without_screen(headless)))
 
@@ -249,8 +248,8 @@ def world(
     unique: Unique = 0,
 ) -> None:
     """Serve a synthetic world, for robots with `--camera synthetic --data host:port/r1`."""
-    from evaluation.simulate.world_server import WorldOptions
-    from evaluation.simulate.world_server import main as serve
+    from fleetpose.evaluation.simulate.world_server import WorldOptions
+    from fleetpose.evaluation.simulate.world_server import main as serve
 
     options = WorldOptions(
         robots=robots,

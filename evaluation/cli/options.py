@@ -63,7 +63,7 @@ def numbers(option: str, text: str, count: int | None = None) -> list[int]:
     Raises:
         FleetPoseError: it is something else, or another count.
     """
-    from protocol.errors import FleetPoseError
+    from fleetpose.protocol.errors import FleetPoseError
 
     try:
         found = [int(part) for part in text.split(",")]
@@ -80,7 +80,7 @@ def only_one(option: str, given: Sequence[Path] | None) -> Path | None:
     Raises:
         FleetPoseError: it is given more than once.
     """
-    from protocol.errors import FleetPoseError
+    from fleetpose.protocol.errors import FleetPoseError
 
     if given and len(given) > 1:
         raise FleetPoseError(f"{option} {given[1]}: give one here, several only with --offline")
@@ -96,7 +96,7 @@ def refuse_offline(live_only: Mapping[str, bool]) -> None:
     Raises:
         FleetPoseError: one was.
     """
-    from protocol.errors import FleetPoseError
+    from fleetpose.protocol.errors import FleetPoseError
 
     given = [option for option, is_given in live_only.items() if is_given]
     if given:

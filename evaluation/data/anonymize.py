@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-
-from evaluation.data.recording import CloudKind, Recording, TrueView
-from protocol.errors import DataFolderError
+from fleetpose.evaluation.data.recording import CloudKind, Recording, TrueView
+from fleetpose.protocol.errors import DataFolderError
 
 NOISY_PIXEL_SIGMA_PX = 0.7
 STEREO_PIXEL_SIGMA_PX = 0.5

@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import combinations
 from typing import TypeVar
 
-from evaluation.data.opening import points_of
-from evaluation.data.recording import Recording, TrueView, shared_tracks
-from evaluation.metrics.geometry import Floats, inverse
-from evaluation.metrics.scoring import OverlapCloud, overlap
+from fleetpose.evaluation.data.opening import points_of
+from fleetpose.evaluation.data.recording import Recording, TrueView, shared_tracks
+from fleetpose.evaluation.metrics.geometry import Floats, inverse
+from fleetpose.evaluation.metrics.scoring import OverlapCloud, overlap
 
 TOGETHER_TRACKS, TOGETHER_OVERLAP = 30, 0.2
 """Two views see the same if they share so many tracks, or so much of their dense depth."""

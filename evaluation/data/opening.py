@@ -4,14 +4,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-
-from evaluation.data.posed_views import open_posed_views
-from evaluation.data.reconstructed import as_posed_views, find_reconstruction
-from evaluation.data.recording import CloudKind, Recording, TrueView
-from evaluation.data.rgbd import open_rgbd, read_depth
-from evaluation.data.scans import is_scans, open_scans, scan_points
-from evaluation.metrics.geometry import Floats
-from protocol.errors import DataFolderError
+from fleetpose.evaluation.data.posed_views import open_posed_views
+from fleetpose.evaluation.data.reconstructed import as_posed_views, find_reconstruction
+from fleetpose.evaluation.data.recording import CloudKind, Recording, TrueView
+from fleetpose.evaluation.data.rgbd import open_rgbd, read_depth
+from fleetpose.evaluation.data.scans import is_scans, open_scans, scan_points
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.protocol.errors import DataFolderError
 
 
 def open_recording(directory: Path, clouds: CloudKind | None = None) -> Recording:

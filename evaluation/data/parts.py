@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from evaluation.data.recording import Recording, TrueView, in_ring_order
-from protocol.errors import DataFolderError
+from fleetpose.evaluation.data.recording import Recording, TrueView, in_ring_order
+from fleetpose.protocol.errors import DataFolderError
 
 
 def parts_of(

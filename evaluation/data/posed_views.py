@@ -5,10 +5,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from evaluation.data.recording import CLOUD_KINDS, CloudKind, Recording, TrueView, npz_name
-from evaluation.metrics.geometry import inverse, nearest_rotation, rigid
-from protocol.errors import DataFolderError
+from fleetpose.evaluation.data.recording import (
+    CLOUD_KINDS,
+    CloudKind,
+    Recording,
+    TrueView,
+    npz_name,
+)
+from fleetpose.evaluation.metrics.geometry import inverse, nearest_rotation, rigid
+from fleetpose.protocol.errors import DataFolderError
 
 _LEAST_POINTS = 10
 

@@ -13,11 +13,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-
-from evaluation.report.output import progress_bar
-from protocol.errors import DataFolderError
-from robot_agent.reconstructions.model import ReconstructedView
-from robot_agent.reconstructions.reading import find_reconstruction, read_reconstruction
+from fleetpose.evaluation.report.output import progress_bar
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.reconstructions.model import ReconstructedView
+from fleetpose.robot_agent.reconstructions.reading import find_reconstruction, read_reconstruction
 
 _QUALITY = [cv2.IMWRITE_JPEG_QUALITY, 98]
 

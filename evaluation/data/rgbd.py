@@ -4,10 +4,9 @@ import re
 from pathlib import Path
 
 import numpy as np
-
-from evaluation.data.recording import Recording, TrueView
-from evaluation.metrics.geometry import Floats, nearest_rotation, rigid
-from protocol.errors import DataFolderError
+from fleetpose.evaluation.data.recording import Recording, TrueView
+from fleetpose.evaluation.metrics.geometry import Floats, nearest_rotation, rigid
+from fleetpose.protocol.errors import DataFolderError
 
 DEPTH_UNIT_M = 0.001
 

@@ -8,10 +8,9 @@ Scans have a robot's axes: x ahead, y left, z up.
 from pathlib import Path
 
 import numpy as np
-
-from evaluation.data.recording import Recording, TrueView
-from evaluation.metrics.geometry import Floats, nearest_rotation, rigid
-from protocol.errors import DataFolderError
+from fleetpose.evaluation.data.recording import Recording, TrueView
+from fleetpose.evaluation.metrics.geometry import Floats, nearest_rotation, rigid
+from fleetpose.protocol.errors import DataFolderError
 
 POSES, PAIR_TRUTH = "poses.txt", "T_target_source.txt"
 
@@ -27,8 +26,8 @@ def open_scans(directory: Path) -> Recording:
     Raises:
         DataFolderError: a scan or its pose is missing, or cannot be read.
     """
-    from protocol.messages import ROBOT_FROM_CAMERA
-    from robot_agent.cameras.folders.cloud import read_frame, scans_in
+    from fleetpose.protocol.messages import ROBOT_FROM_CAMERA
+    from fleetpose.robot_agent.cameras.folders.cloud import read_frame, scans_in
 
     files = scans_in(directory)
     if (directory / POSES).is_file():
@@ -64,9 +63,9 @@ def scan_points(path: Path) -> tuple[Floats, Floats]:
     Raises:
         DataFolderError: it cannot be read or nothing of it lies ahead.
     """
-    from protocol.clouds import lift
-    from robot_agent.cameras.base import DepthImage, ScatteredPoints
-    from robot_agent.cameras.folders.cloud import read_frame
+    from fleetpose.protocol.clouds import lift
+    from fleetpose.robot_agent.cameras.base import DepthImage, ScatteredPoints
+    from fleetpose.robot_agent.cameras.folders.cloud import read_frame
 
     frame = read_frame(path)
     if frame is None:

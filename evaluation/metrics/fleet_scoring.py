@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-
-from evaluation.metrics.geometry import Floats, inverse
-from evaluation.metrics.scoring import (
+from fleetpose.evaluation.metrics.geometry import Floats, inverse
+from fleetpose.evaluation.metrics.scoring import (
     CHI2_6_95,
     Limits,
     aligned_errors_m,

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-
-from evaluation.report.output import new_figure
+from fleetpose.evaluation.report.output import new_figure
 
 BINS = 10
 

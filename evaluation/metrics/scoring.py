@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-
-from evaluation.metrics.geometry import Floats, align_points, inverse, se3_log, transform
+from fleetpose.evaluation.metrics.geometry import Floats, align_points, inverse, se3_log, transform
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree

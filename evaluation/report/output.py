@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from evaluation.metrics.geometry import Floats, quat_wxyz
-from protocol.errors import FleetPoseError
+from fleetpose.evaluation.metrics.geometry import Floats, quat_wxyz
+from fleetpose.protocol.errors import FleetPoseError
 
 POSE_COLUMNS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz")
 COVARIANCE_COLUMNS = tuple(f"c{row}{column}" for row in range(6) for column in range(row, 6))

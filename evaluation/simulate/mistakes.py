@@ -12,11 +12,10 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.protocol.clouds import decode_salient, points_of
+from fleetpose.protocol.messages import View
 from scipy.spatial import KDTree
-
-from evaluation.metrics.geometry import Floats
-from protocol.clouds import decode_salient, points_of
-from protocol.messages import View
 
 MistakeKind = Literal["alike", "one", "step", "mirrored"]
 

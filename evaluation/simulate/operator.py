@@ -10,16 +10,15 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-
-from evaluation.metrics.geometry import Floats, inverse, transform
-from evaluation.simulate.mistakes import mistaken, sight_of
-from evaluation.system.observer import Observer, SeenView
-from hmi_client.network.outbox import Outbox
-from protocol import codec
-from protocol.errors import CodecError
-from protocol.keys import Keys, ordered_pair
-from protocol.messages import OperatorUpdate, Receipts, View
-from protocol.transport import Link, Sample, wait_until
+from fleetpose.evaluation.metrics.geometry import Floats, inverse, transform
+from fleetpose.evaluation.simulate.mistakes import mistaken, sight_of
+from fleetpose.evaluation.system.observer import Observer, SeenView
+from fleetpose.hmi_client.network.outbox import Outbox
+from fleetpose.protocol import codec
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.keys import Keys, ordered_pair
+from fleetpose.protocol.messages import OperatorUpdate, Receipts, View
+from fleetpose.protocol.transport import Link, Sample, wait_until
 
 CLICK_SIGMA_PX = 1.5
 REPEAT_S = 1.0
@@ -112,7 +111,7 @@ def _at(depth: Floats, uv: Floats) -> Floats:
 
 def by_view_depth(i: View, j: View, T_i_j: Floats, points: int = 4000) -> tuple[Floats, Floats]:
     """Like `by_depth`, from the clouds that two robots sent; of view i so many points are tried."""
-    from protocol.clouds import points_of
+    from fleetpose.protocol.clouds import points_of
 
     cloud_i, cloud_j = points_of(i), points_of(j)
     some = slice(None, None, max(len(cloud_i.uv) // points, 1))

@@ -13,25 +13,25 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import islice
 
-from protocol.codec import encoding_of, pack
-from protocol.errors import DataFolderError, FleetPoseError
-from protocol.keys import Keys, new_epoch
-from protocol.messages import CameraAnnouncement, ImageHeader, KeptView, View, ViewName
-from protocol.presence import Presence
-from protocol.transport import (
+from fleetpose.protocol.codec import encoding_of, pack
+from fleetpose.protocol.errors import DataFolderError, FleetPoseError
+from fleetpose.protocol.keys import Keys, new_epoch
+from fleetpose.protocol.messages import CameraAnnouncement, ImageHeader, KeptView, View, ViewName
+from fleetpose.protocol.presence import Presence
+from fleetpose.protocol.transport import (
     ENCODING_JPEG,
     Link,
     SessionSettings,
     open_session,
     wait_until,
 )
-from robot_agent.cameras.base import Frame
-from robot_agent.cameras.factory import open_camera
-from robot_agent.features.keypoints import salient_points
-from robot_agent.features.packing import view_of
-from robot_agent.recent_views import KeptViews, kept_view
-from robot_agent.sender import SenderSettings
-from robot_agent.settings import CameraKind
+from fleetpose.robot_agent.cameras.base import Frame
+from fleetpose.robot_agent.cameras.factory import open_camera
+from fleetpose.robot_agent.features.keypoints import salient_points
+from fleetpose.robot_agent.features.packing import view_of
+from fleetpose.robot_agent.recent_views import KeptViews, kept_view
+from fleetpose.robot_agent.sender import SenderSettings
+from fleetpose.robot_agent.settings import CameraKind
 
 
 @dataclass(frozen=True)

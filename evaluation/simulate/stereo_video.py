@@ -7,13 +7,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-
-from evaluation.simulate.world.render import Depth, Floats, Image, Quad, Renderer
-from evaluation.simulate.world.ring import RingWorld, ring_rig
-from evaluation.simulate.world.robots import GREY_SIGMA, HEIGHT, WIDTH
-from protocol.errors import FleetPoseError
-from robot_agent.cameras.stereo.rig import StereoRig
-from robot_agent.cameras.synthetic import mount
+from fleetpose.evaluation.simulate.world.render import Depth, Floats, Image, Quad, Renderer
+from fleetpose.evaluation.simulate.world.ring import RingWorld, ring_rig
+from fleetpose.evaluation.simulate.world.robots import GREY_SIGMA, HEIGHT, WIDTH
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
+from fleetpose.robot_agent.cameras.synthetic import mount
 
 FPS = 10.0
 FRAMES_PER_STATION = 6

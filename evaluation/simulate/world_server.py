@@ -17,10 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from evaluation.simulate.world import PlanWorld, RingWorld, World
-from protocol.errors import FleetPoseError
-from robot_agent.cameras.stereo.rig import StereoRig
+from fleetpose.evaluation.simulate.world import PlanWorld, RingWorld, World
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
 
 MAX_LINE = 4096
 

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-
-from deploy.local_fleet import LocalFleet, wait_running
-from evaluation.metrics.fleet_scoring import SampleRow, score_sample
-from evaluation.report.output import print_table
-from evaluation.simulate.operator import SimulatedOperator
-from evaluation.system.fleet import (
+from fleetpose.deploy.local_fleet import LocalFleet, wait_running
+from fleetpose.evaluation.metrics.fleet_scoring import SampleRow, score_sample
+from fleetpose.evaluation.report.output import print_table
+from fleetpose.evaluation.simulate.operator import SimulatedOperator
+from fleetpose.evaluation.system.fleet import (
     FleetPlan,
     kept_apart,
     open_link,
@@ -25,10 +24,10 @@ from evaluation.system.fleet import (
     start,
     wait_started,
 )
-from evaluation.system.observer import Observer, first_time_located
-from evaluation.system.truth import WorldTruth
-from protocol.errors import FleetPoseError
-from protocol.keys import Keys
+from fleetpose.evaluation.system.observer import Observer, first_time_located
+from fleetpose.evaluation.system.truth import WorldTruth
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.keys import Keys
 
 CLICKS_PER_MINUTE = 60.0
 SETTLE_S = 5.0  # after all are located, so that the last alignments count
@@ -98,7 +97,7 @@ def without_screen(headless: bool) -> bool:
 
 def _on_screen(fleet: LocalFleet) -> int:
     """The operator's screen in the foreground; the fleet ends with it."""
-    command = [sys.executable, "-P", "-m", "hmi_client", "screen", *fleet.connection]
+    command = [sys.executable, "-P", "-m", "fleetpose.hmi_client", "screen", *fleet.connection]
     state = {"XDG_STATE_HOME": str(fleet.directory / "screen")}  # it ends with the fleet
     with subprocess.Popen(command, env={**os.environ, **state}) as screen:
         try:

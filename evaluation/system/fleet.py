@@ -8,23 +8,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from deploy.local_fleet import LocalFleet, wait_running
-from evaluation.data.anonymize import StrippedFolder, distinct_names, strip
-from evaluation.data.covisibility import paired_up
-from evaluation.data.opening import open_recording
-from evaluation.data.parts import parts_of
-from evaluation.data.recording import CloudKind
-from evaluation.metrics.fleet_scoring import PoseNow, SampleRow, score_sample
-from evaluation.metrics.scoring import RGBD_REFERENCE_SIGMA_M
-from evaluation.report.output import output_folder, progress_bar
-from evaluation.simulate.operator import SimulatedOperator
-from evaluation.system.fleet_report import FleetResult, write_results
-from evaluation.system.memory import Memory
-from evaluation.system.observer import Believed, Observer
-from evaluation.system.truth import RecordedTruth, Truth, WorldTruth
-from protocol.errors import DataFolderError, FleetPoseError
-from protocol.keys import Keys
-from protocol.transport import Link, SessionSettings, free_port, open_session, wait_until
+from fleetpose.deploy.local_fleet import LocalFleet, wait_running
+from fleetpose.evaluation.data.anonymize import StrippedFolder, distinct_names, strip
+from fleetpose.evaluation.data.covisibility import paired_up
+from fleetpose.evaluation.data.opening import open_recording
+from fleetpose.evaluation.data.parts import parts_of
+from fleetpose.evaluation.data.recording import CloudKind
+from fleetpose.evaluation.metrics.fleet_scoring import PoseNow, SampleRow, score_sample
+from fleetpose.evaluation.metrics.scoring import RGBD_REFERENCE_SIGMA_M
+from fleetpose.evaluation.report.output import output_folder, progress_bar
+from fleetpose.evaluation.simulate.operator import SimulatedOperator
+from fleetpose.evaluation.system.fleet_report import FleetResult, write_results
+from fleetpose.evaluation.system.memory import Memory
+from fleetpose.evaluation.system.observer import Believed, Observer
+from fleetpose.evaluation.system.truth import RecordedTruth, Truth, WorldTruth
+from fleetpose.protocol.errors import DataFolderError, FleetPoseError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.transport import Link, SessionSettings, free_port, open_session, wait_until
 
 FIRST_SAMPLE_S = 20.0
 WORLD_START_S = 60.0
@@ -295,7 +295,7 @@ def start(
     start_servers(fleet, plan, workers, state, skip_pairs, cluster, of_server)
     if plan.replayed:
         replayed = replay_arguments(plan, REPLAYED_RATE_HZ, plan.frames)
-        fleet.start(LOAD, "evaluation", "load", *fleet.connection, *replayed)
+        fleet.start(LOAD, "fleetpose.evaluation", "load", *fleet.connection, *replayed)
         return
     for robot in plan.robots:
         start_robot(fleet, robot)
@@ -319,7 +319,7 @@ def start_servers(
     """Starts router, world and server."""
     fleet.start_router()
     if plan.world:
-        fleet.start("world", "evaluation", *plan.world)
+        fleet.start("world", "fleetpose.evaluation", *plan.world)
     skip = () if skip_pairs is None else ("--skip-pairs", str(skip_pairs))
     elsewhere = () if cluster is None else ("--cluster", cluster)
     fleet.start_server("--workers", str(workers), *elsewhere, *skip, *of_server, state=state)

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from evaluation.metrics.fleet_scoring import SampleRow, positions, summarize_poses
-from evaluation.metrics.geometry import Floats, align_points, transform
-from evaluation.metrics.scoring import Limits, percentile
-from evaluation.report.output import (
+from fleetpose.evaluation.metrics.fleet_scoring import SampleRow, positions, summarize_poses
+from fleetpose.evaluation.metrics.geometry import Floats, align_points, transform
+from fleetpose.evaluation.metrics.scoring import Limits, percentile
+from fleetpose.evaluation.report.output import (
     COVARIANCE_COLUMNS,
     POSE_COLUMNS,
     new_figure,
@@ -19,9 +18,9 @@ from evaluation.report.output import (
     write_csv,
     write_summary,
 )
-from evaluation.simulate.operator import SimulatedOperator
-from evaluation.system.memory import Memory
-from evaluation.system.observer import Observer, first_time_located
+from fleetpose.evaluation.simulate.operator import SimulatedOperator
+from fleetpose.evaluation.system.memory import Memory
+from fleetpose.evaluation.system.observer import Observer, first_time_located
 
 LATE_S = 30.0  # a click that takes longer
 NEWEST_WINS = ("newer_view",)

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from protocol import codec
-from protocol.errors import FleetPoseError
-from protocol.keys import Keys
-from protocol.messages import (
+from fleetpose.protocol import codec
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import (
     Alignment,
     DepthCloud,
     FleetState,
@@ -23,7 +23,7 @@ from protocol.messages import (
     View,
     ViewName,
 )
-from protocol.transport import Link, Sample, Slots
+from fleetpose.protocol.transport import Link, Sample, Slots
 
 KEPT_VIEWS = 60  # of each robot; poses and questions are about these
 

@@ -12,18 +12,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from deploy.local_fleet import LocalFleet, wait_running
-from evaluation.bench.offline.fleet import Task, put_together
-from evaluation.bench.offline.fleet import scored as scored_offline
-from evaluation.bench.working import as_done, on_the_wire, worker_pool
-from evaluation.data.opening import median_depth_m, open_recordings
-from evaluation.data.recording import CloudKind, Recording, TrueView, are_partners, in_ring_order
-from evaluation.data.splits import split_of
-from evaluation.metrics.fleet_scoring import SampleRow, score_sample
-from evaluation.metrics.scoring import RGBD_REFERENCE_SIGMA_M, Limits
-from evaluation.report.output import output_folder, progress_bar
-from evaluation.system.fleet import (
+from fleetpose.deploy.local_fleet import LocalFleet, wait_running
+from fleetpose.evaluation.bench.offline.fleet import Task, put_together
+from fleetpose.evaluation.bench.offline.fleet import scored as scored_offline
+from fleetpose.evaluation.bench.working import as_done, on_the_wire, worker_pool
+from fleetpose.evaluation.data.opening import median_depth_m, open_recordings
+from fleetpose.evaluation.data.recording import (
+    CloudKind,
+    Recording,
+    TrueView,
+    are_partners,
+    in_ring_order,
+)
+from fleetpose.evaluation.data.splits import split_of
+from fleetpose.evaluation.metrics.fleet_scoring import SampleRow, score_sample
+from fleetpose.evaluation.metrics.scoring import RGBD_REFERENCE_SIGMA_M, Limits
+from fleetpose.evaluation.report.output import output_folder, progress_bar
+from fleetpose.evaluation.system.fleet import (
     FleetOptions,
     open_link,
     plan_fleet,
@@ -31,10 +36,10 @@ from evaluation.system.fleet import (
     start,
     wait_started,
 )
-from evaluation.system.observer import Observer
-from evaluation.system.restarts_report import PoseRow, scored, write_results
-from protocol.errors import DataFolderError
-from protocol.keys import Keys
+from fleetpose.evaluation.system.observer import Observer
+from fleetpose.evaluation.system.restarts_report import PoseRow, scored, write_results
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.protocol.keys import Keys
 
 WORLD = "synthetic world"
 

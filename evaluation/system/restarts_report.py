@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from evaluation.metrics.fleet_scoring import SampleRow
-from evaluation.metrics.geometry import Floats, inverse, se3_log
-from evaluation.metrics.intervals import DRAWS, LEVEL
-from evaluation.metrics.scoring import CHI2_6_95, Limits, share, with_reference
-from evaluation.report.output import new_figure, print_table, write_csv, write_summary
+from fleetpose.evaluation.metrics.fleet_scoring import SampleRow
+from fleetpose.evaluation.metrics.geometry import Floats, inverse, se3_log
+from fleetpose.evaluation.metrics.intervals import DRAWS, LEVEL
+from fleetpose.evaluation.metrics.scoring import CHI2_6_95, Limits, share, with_reference
+from fleetpose.evaluation.report.output import new_figure, print_table, write_csv, write_summary
 
 COLUMNS = (
     "set",

@@ -8,17 +8,16 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-
-from evaluation.bench.clicks.truth import true_pixels
-from evaluation.data.anonymize import StrippedFolder
-from evaluation.data.covisibility import Sights, enough_overlap
-from evaluation.data.opening import median_depth_m
-from evaluation.data.recording import Recording, TrueView
-from evaluation.metrics.geometry import Floats, inverse
-from evaluation.metrics.scoring import OverlapCloud
-from evaluation.simulate.operator import by_view_depth
-from evaluation.system.observer import SeenView, digest_of
-from protocol.clouds import points_of
+from fleetpose.evaluation.bench.clicks.truth import true_pixels
+from fleetpose.evaluation.data.anonymize import StrippedFolder
+from fleetpose.evaluation.data.covisibility import Sights, enough_overlap
+from fleetpose.evaluation.data.opening import median_depth_m
+from fleetpose.evaluation.data.recording import Recording, TrueView
+from fleetpose.evaluation.metrics.geometry import Floats, inverse
+from fleetpose.evaluation.metrics.scoring import OverlapCloud
+from fleetpose.evaluation.simulate.operator import by_view_depth
+from fleetpose.evaluation.system.observer import SeenView, digest_of
+from fleetpose.protocol.clouds import points_of
 
 
 class Truth(Protocol):
@@ -98,8 +97,8 @@ class RecordedTruth:
 
 def _digests(folder: StrippedFolder) -> list[str]:
     """What the clouds of a folder's frames look like on the wire, in order."""
-    from robot_agent.cameras.factory import open_camera
-    from robot_agent.features.packing import cloud_of
+    from fleetpose.robot_agent.cameras.factory import open_camera
+    from fleetpose.robot_agent.features.packing import cloud_of
 
     camera = open_camera(folder.camera, str(folder.path), "once")
     return [digest_of(cloud_of(frame.ranges, frame.model)) for frame in camera.frames()]

@@ -6,9 +6,9 @@ clicks on their way raise the revision; the clear is therefore held until the se
 
 from dataclasses import dataclass
 
-from hmi_client.model.records import Pair, Pick
-from hmi_client.network.outbox import Ticket
-from protocol.messages import PairCorrespondences
+from fleetpose.hmi_client.model.records import Pair, Pick
+from fleetpose.hmi_client.network.outbox import Ticket
+from fleetpose.protocol.messages import PairCorrespondences
 
 SET_S = 2.0  # after receipts the set follows at once; another operator may have erased from it
 

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-
-from hmi_client.assist import picking
-from hmi_client.errors import OperatorError, PictureError
-from hmi_client.model.depths import Depths
-from hmi_client.model.picture_decoder import GreyImages, Image
-from hmi_client.model.records import PixelUV
-from hmi_client.model.session import OperatorSession
-from protocol.messages import ViewName
+from fleetpose.hmi_client.assist import picking
+from fleetpose.hmi_client.errors import OperatorError, PictureError
+from fleetpose.hmi_client.model.depths import Depths
+from fleetpose.hmi_client.model.picture_decoder import GreyImages, Image
+from fleetpose.hmi_client.model.records import PixelUV
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.protocol.messages import ViewName
 
 Floats = npt.NDArray[np.float64]
 _LOOKS_KEPT = 4

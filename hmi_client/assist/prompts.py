@@ -3,10 +3,10 @@
 import math
 from collections.abc import Mapping
 
-from hmi_client.assist.suggestions import Proposals
-from hmi_client.model.matrix import are_joined, components_of, doubt_text, length_text
-from hmi_client.model.session import OperatorSession
-from protocol.messages import Answer
+from fleetpose.hmi_client.assist.suggestions import Proposals
+from fleetpose.hmi_client.model.matrix import are_joined, components_of, doubt_text, length_text
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.protocol.messages import Answer
 
 
 def next_step(session: OperatorSession, proposals: Proposals, keys: Mapping[str, str]) -> str:

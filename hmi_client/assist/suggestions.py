@@ -4,12 +4,12 @@ is looked at, corrected, and accepted or skipped.
 
 from dataclasses import dataclass
 
-from hmi_client.assist.pick_assist import Guide
-from hmi_client.errors import OperatorError
-from hmi_client.model.records import PixelUV
-from hmi_client.model.session import OperatorSession
-from hmi_client.network.outbox import Ticket
-from protocol.messages import Question, Suggestion, ViewName
+from fleetpose.hmi_client.assist.pick_assist import Guide
+from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.model.records import PixelUV
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.network.outbox import Ticket
+from fleetpose.protocol.messages import Question, Suggestion, ViewName
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,12 @@ import time
 from collections.abc import Callable
 
 import typer
-
-from hmi_client.errors import OperatorError
-from hmi_client.model.records import Pair, Pick
-from hmi_client.model.session import OperatorSession
-from hmi_client.network.outbox import Ticket
-from protocol.keys import ordered_pair
-from protocol.messages import ViewName
+from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.model.records import Pair, Pick
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.network.outbox import Ticket
+from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.messages import ViewName
 
 BATCH = 50  # receipts name the newest 100 rejections: more at once could hide one
 SET_TIMEOUT_S = 1.0

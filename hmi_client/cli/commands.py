@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-
-from hmi_client.cli import connection as c
-from hmi_client.cli import correspondences, recordings
-from hmi_client.cli.options import Fps, KeysFile, LogFile, Theme, Threshold
-from hmi_client.errors import OperatorError
+from fleetpose.hmi_client.cli import connection as c
+from fleetpose.hmi_client.cli import correspondences, recordings
+from fleetpose.hmi_client.cli.options import Fps, KeysFile, LogFile, Theme, Threshold
+from fleetpose.hmi_client.errors import OperatorError
 
 ALIGNMENTS_S = 1.0  # they are latched: what has not come by then was never told
 
@@ -64,7 +63,7 @@ def screen(
     operator: c.Operator = "",
 ) -> None:
     """Shows map, errors and images; q quits."""
-    from hmi_client.tui.run import run_screen
+    from fleetpose.hmi_client.tui.run import run_screen
 
     run_screen(c.Connection.of(connect, site, config, operator), fps, threshold, log, theme, keys)
 
@@ -84,8 +83,8 @@ def screenshot(
     operator: c.Operator = "",
 ) -> None:
     """Draws the screen into an SVG as soon as poses and images are there."""
-    from hmi_client.tui.drawing import palette
-    from hmi_client.tui.run import take_screenshot
+    from fleetpose.hmi_client.tui.drawing import palette
+    from fleetpose.hmi_client.tui.run import take_screenshot
 
     columns, rows = size_of(size)
     where = c.Connection.of(connect, site, config, operator)
@@ -98,7 +97,7 @@ def screenshot(
 @app.command("keys")
 def show_keys(keys: KeysFile = None) -> None:
     """Prints the keys of all commands, as a file that you can change and use (--keys)."""
-    from hmi_client.tui.run import keymap_of
+    from fleetpose.hmi_client.tui.run import keymap_of
 
     typer.echo(keymap_of(keys).as_toml(), nl=False)
 
@@ -113,7 +112,7 @@ def watch(
     operator: c.Operator = "",
 ) -> None:
     """Prints poses, errors of pairs and events as they change."""
-    from hmi_client.cli.reports import Watcher, sentence
+    from fleetpose.hmi_client.cli.reports import Watcher, sentence
 
     where = c.Connection.of(connect, site, config, operator)
     with suppress(KeyboardInterrupt), where.server() as session:
@@ -135,7 +134,7 @@ def status(
     operator: c.Operator = "",
 ) -> None:
     """Prints the server's load, the robots and what is asked; exit code 3 without a server."""
-    from hmi_client.cli.reports import status_text
+    from fleetpose.hmi_client.cli.reports import status_text
 
     with c.Connection.of(connect, site, config, operator).server() as session:
         session.wait_change({}, ("status",), 2.0)
@@ -152,9 +151,9 @@ def why(
     operator: c.Operator = "",
 ) -> None:
     """Says why a robot is located (exit code 0) or not (1), and what to do next."""
-    from hmi_client.cli.clicking import wait_for_sets
-    from hmi_client.cli.why import tried_pairs, why_record, why_text
-    from protocol.transport import wait_until
+    from fleetpose.hmi_client.cli.clicking import wait_for_sets
+    from fleetpose.hmi_client.cli.why import tried_pairs, why_record, why_text
+    from fleetpose.protocol.transport import wait_until
 
     with c.Connection.of(connect, site, config, operator).client_of_server() as client:
         session = client.session

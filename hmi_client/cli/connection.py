@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-
-from hmi_client.cli.options import given_before
-from hmi_client.errors import NoServerError
+from fleetpose.hmi_client.cli.options import given_before
+from fleetpose.hmi_client.errors import NoServerError
 
 if TYPE_CHECKING:
-    from hmi_client.model.session import OperatorSession
-    from hmi_client.network.client import Client
-    from hmi_client.recording.file import Recorder
+    from fleetpose.hmi_client.model.session import OperatorSession
+    from fleetpose.hmi_client.network.client import Client
+    from fleetpose.hmi_client.recording.file import Recorder
 
 SERVER_TIMEOUT_S = 5.0
 
@@ -75,10 +74,10 @@ class Connection:
         """A client that is not started yet; opening the link gives up after the timeout. With a
         recorder, all that passes is recorded.
         """
-        from hmi_client.network.client import Client
-        from hmi_client.recording.link import RecordedLink
-        from protocol.keys import Keys
-        from protocol.transport import Link, SessionSettings, open_session
+        from fleetpose.hmi_client.network.client import Client
+        from fleetpose.hmi_client.recording.link import RecordedLink
+        from fleetpose.protocol.keys import Keys
+        from fleetpose.protocol.transport import Link, SessionSettings, open_session
 
         settings = SessionSettings(
             connect=self.connect, config_file=self.config, timeout_s=timeout_s
@@ -103,7 +102,7 @@ class Connection:
     @contextmanager
     def client_of_server(self) -> Iterator["Client"]:
         """The same with the client around the session."""
-        from hmi_client.model.session import OperatorSession
+        from fleetpose.hmi_client.model.session import OperatorSession
 
         session = OperatorSession(self.operator)
         with self.client(session) as client:

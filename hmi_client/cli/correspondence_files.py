@@ -7,10 +7,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from hmi_client.errors import OperatorError
-from hmi_client.model.records import Entry, Pair, Pick
-from hmi_client.model.session import OperatorSession
-from protocol.messages import ViewName
+from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.model.records import Entry, Pair, Pick
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.protocol.messages import ViewName
 
 FIELDS = (
     *("i", "j", "view_i", "view_j", "u_i", "v_i", "u_j", "v_j"),

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-
-from hmi_client.cli import connection as c
-from hmi_client.errors import OperatorError
+from fleetpose.hmi_client.cli import connection as c
+from fleetpose.hmi_client.errors import OperatorError
 
 app = typer.Typer(help="Add, erase, list, export and import correspondences.")
 
@@ -35,7 +34,7 @@ def add(
     operator: c.Operator = "",
 ) -> None:
     """Adds correspondences; the views are the newest ones unless they are named."""
-    from hmi_client.cli import clicking
+    from fleetpose.hmi_client.cli import clicking
 
     pixels = [clicking.four_numbers(point) for point in points]
     with c.Connection.of(connect, site, config, operator).server() as session:
@@ -58,7 +57,7 @@ def erase(
     operator: c.Operator = "",
 ) -> None:
     """Erases correspondences by their ids."""
-    from hmi_client.cli import clicking
+    from fleetpose.hmi_client.cli import clicking
 
     with c.Connection.of(connect, site, config, operator).server() as session:
         pair = clicking.ordered(session, robot_1, robot_2)
@@ -79,7 +78,7 @@ def clear(
     operator: c.Operator = "",
 ) -> None:
     """Erases all correspondences of a pair."""
-    from hmi_client.cli import clicking
+    from fleetpose.hmi_client.cli import clicking
 
     with c.Connection.of(connect, site, config, operator).server() as session:
         pair = clicking.ordered(session, robot_1, robot_2)
@@ -103,8 +102,8 @@ def list_(
     operator: c.Operator = "",
 ) -> None:
     """Lists the server's correspondences of one pair or of all."""
-    from hmi_client.cli import clicking, correspondence_files
-    from hmi_client.cli.reports import entries_text
+    from fleetpose.hmi_client.cli import clicking, correspondence_files
+    from fleetpose.hmi_client.cli.reports import entries_text
 
     if bool(robot_1) != bool(robot_2):
         raise OperatorError("name two robots, or none for all pairs")
@@ -138,7 +137,7 @@ def export(
     operator: c.Operator = "",
 ) -> None:
     """Writes all correspondences to a file that 'import' reads."""
-    from hmi_client.cli import clicking, correspondence_files
+    from fleetpose.hmi_client.cli import clicking, correspondence_files
 
     with c.Connection.of(connect, site, config, operator).server() as session:
         clicking.wait_for_sets(session)
@@ -160,7 +159,7 @@ def import_(
     operator: c.Operator = "",
 ) -> None:
     """Adds the correspondences of a file; those that are there already are left alone."""
-    from hmi_client.cli import clicking, correspondence_files
+    from fleetpose.hmi_client.cli import clicking, correspondence_files
 
     records = correspondence_files.read_records(file)
     with c.Connection.of(connect, site, config, operator).server() as session:

@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-
-from hmi_client.cli import connection as c
-from hmi_client.cli.options import Fps, KeysFile, LogFile, Theme, Threshold
+from fleetpose.hmi_client.cli import connection as c
+from fleetpose.hmi_client.cli.options import Fps, KeysFile, LogFile, Theme, Threshold
 
 app = typer.Typer()
 
@@ -31,7 +30,7 @@ def record(
 
     The file is MCAP: every message as it was on the wire, under its key, images included.
     """
-    from hmi_client.tui.run import run_screen
+    from fleetpose.hmi_client.tui.run import run_screen
 
     where = c.Connection.of(connect, site, config, operator)
     run_screen(where, fps, threshold, log, theme, keys, record=file)
@@ -56,12 +55,12 @@ def replay(
     It follows what the operator looked at and did. You may look around; nothing can be changed.
     """
     if as_list or not (sys.stdin.isatty() and sys.stdout.isatty()):
-        from hmi_client.recording.file import Recording
-        from hmi_client.recording.timeline import timeline
+        from fleetpose.hmi_client.recording.file import Recording
+        from fleetpose.hmi_client.recording.timeline import timeline
 
         for line in timeline(Recording(file)):
             typer.echo(line)
         return
-    from hmi_client.tui.replay import run_replay
+    from fleetpose.hmi_client.tui.replay import run_replay
 
     run_replay(file, speed, start, fps, threshold, log, theme, keys)

@@ -4,11 +4,11 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from hmi_client.model.matrix import doubt_text, length_text
-from hmi_client.model.records import Entry, Pair
-from hmi_client.model.session import OperatorSession
-from hmi_client.model.top_view import heading_rad, position, position_sigma_m
-from protocol.messages import PairCell, RobotPose, ServerStatus
+from fleetpose.hmi_client.model.matrix import doubt_text, length_text
+from fleetpose.hmi_client.model.records import Entry, Pair
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.model.top_view import heading_rad, position, position_sigma_m
+from fleetpose.protocol.messages import PairCell, RobotPose, ServerStatus
 
 Record = dict[str, Any]
 _DOUBTFUL = 5  # pairs that the status names

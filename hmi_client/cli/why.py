@@ -3,12 +3,12 @@
 from collections import Counter
 from collections.abc import Mapping
 
-from hmi_client.cli.reports import Record, pose_record, table
-from hmi_client.model.matrix import doubt_text, length_text
-from hmi_client.model.records import Pair
-from hmi_client.model.session import OperatorSession
-from protocol.keys import ordered_pair
-from protocol.messages import Alarm, Alignment, PairCell
+from fleetpose.hmi_client.cli.reports import Record, pose_record, table
+from fleetpose.hmi_client.model.matrix import doubt_text, length_text
+from fleetpose.hmi_client.model.records import Pair
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.messages import Alarm, Alignment, PairCell
 
 BEST_FIRST = ("verified", "plausible", "ambiguous", "rejected", None)
 SHOWN_PAIRS = 12

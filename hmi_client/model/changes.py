@@ -9,7 +9,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from typing import Literal
 
-from protocol.drops import Drops
+from fleetpose.protocol.drops import Drops
 
 Topic = (
     Literal["fleet", "poses", "alignment", "correspondences", "pictures"]

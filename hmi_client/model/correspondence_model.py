@@ -7,12 +7,12 @@ import time
 from collections.abc import Callable, Container
 from dataclasses import dataclass, field, replace
 
-from hmi_client.assist.deferred_clear import HeldClear
-from hmi_client.errors import OperatorError
-from hmi_client.model.records import Entry, Pair, Pick, PixelUV
-from hmi_client.network.outbox import Outbox, Ticket
-from hmi_client.network.update_log import KeptUpdates
-from protocol.messages import Correspondence, PairCorrespondences, Receipts, ViewName
+from fleetpose.hmi_client.assist.deferred_clear import HeldClear
+from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.model.records import Entry, Pair, Pick, PixelUV
+from fleetpose.hmi_client.network.outbox import Outbox, Ticket
+from fleetpose.hmi_client.network.update_log import KeptUpdates
+from fleetpose.protocol.messages import Correspondence, PairCorrespondences, Receipts, ViewName
 
 
 @dataclass(frozen=True)

@@ -4,17 +4,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-
-from hmi_client.model.records import PixelUV
-from protocol.clouds import (
+from fleetpose.hmi_client.model.records import PixelUV
+from fleetpose.protocol.clouds import (
     CLICK_REACH_CELLS,
     CLICK_REACH_PX,
     decode_scattered,
     depth_image,
     grid_to_pixel,
 )
-from protocol.messages import DepthCloud, View, ViewName
-from protocol.messages.camera import Camera
+from fleetpose.protocol.messages import DepthCloud, View, ViewName
+from fleetpose.protocol.messages.camera import Camera
 
 Floats = npt.NDArray[np.float64]
 _WINDOW = 24  # cells to each side that are searched for the nearest depth

@@ -5,16 +5,16 @@ No screen, no network, and no clock but the one given.
 
 from collections.abc import Callable
 
-from hmi_client.errors import OperatorError
-from hmi_client.model.changes import Changes
-from hmi_client.model.correspondence_model import Workbook
-from hmi_client.model.depths import Depths
-from hmi_client.model.image_buffer import Gallery, Keeping
-from hmi_client.model.matrix import natural
-from hmi_client.model.records import Entry, Pair, Pick, Picture, new_events
-from hmi_client.network.update_log import KeptUpdates
-from protocol.errors import CodecError
-from protocol.messages import (
+from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.model.changes import Changes
+from fleetpose.hmi_client.model.correspondence_model import Workbook
+from fleetpose.hmi_client.model.depths import Depths
+from fleetpose.hmi_client.model.image_buffer import Gallery, Keeping
+from fleetpose.hmi_client.model.matrix import natural
+from fleetpose.hmi_client.model.records import Entry, Pair, Pick, Picture, new_events
+from fleetpose.hmi_client.network.update_log import KeptUpdates
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.messages import (
     Alignment,
     FleetState,
     PairCell,

@@ -8,8 +8,8 @@ from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from hmi_client.model.records import Pair, Picture
-from protocol.messages import ViewName
+from fleetpose.hmi_client.model.records import Pair, Picture
+from fleetpose.protocol.messages import ViewName
 
 STALE_S = 10.0  # a picture of an earlier selection is shown again only if it is younger
 KEEP_S = 3.0  # after this long the server should have said that it keeps a frozen view

@@ -6,8 +6,8 @@ the decoder would, and refused before memory is taken.
 
 from dataclasses import dataclass
 
-from hmi_client.errors import PictureError
-from protocol.messages import Camera
+from fleetpose.hmi_client.errors import PictureError
+from fleetpose.protocol.messages import Camera
 
 MAX_PIXELS = 40_000_000
 MAX_CAMERA_PX = 16384  # as in `protocol.messages.Camera`

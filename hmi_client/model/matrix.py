@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from hmi_client.model.records import Pair
-from protocol.keys import ordered_pair
-from protocol.messages import FleetState, PairCell, Verdict
+from fleetpose.hmi_client.model.records import Pair
+from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.messages import FleetState, PairCell, Verdict
 
 HIDDEN, UNTRIED, THROUGH, SELF = "-", "·", "~", "╲"
 BOLD_SHARE = 0.05

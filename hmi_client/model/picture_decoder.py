@@ -5,11 +5,10 @@ from collections import OrderedDict
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from hmi_client.errors import PictureError
-from hmi_client.model.jpeg import frame_of
-from hmi_client.model.records import Picture
-from protocol.messages import ViewName
+from fleetpose.hmi_client.errors import PictureError
+from fleetpose.hmi_client.model.jpeg import frame_of
+from fleetpose.hmi_client.model.records import Picture
+from fleetpose.protocol.messages import ViewName
 
 Image = npt.NDArray[np.uint8]
 _KEPT = 4

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from protocol.messages import Correspondence, ViewName
+from fleetpose.protocol.messages import Correspondence, ViewName
 
 Pair = tuple[str, str]
 """Two robots in the order of their names, as on the wire."""

@@ -8,14 +8,14 @@ import time
 from collections.abc import Callable
 from typing import TypeVar
 
-from hmi_client.errors import OperatorError
-from hmi_client.model.fleet_model import Feed
-from hmi_client.model.matrix import default_threshold_m
-from hmi_client.model.records import HalfPick, Pair, Picture, PixelUV
-from hmi_client.network.outbox import Ticket
-from hmi_client.network.update_log import KeptUpdates
-from protocol.keys import checked_name, ordered_pair
-from protocol.messages import OperatorUpdate, Selection, ViewName
+from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.model.fleet_model import Feed
+from fleetpose.hmi_client.model.matrix import default_threshold_m
+from fleetpose.hmi_client.model.records import HalfPick, Pair, Picture, PixelUV
+from fleetpose.hmi_client.network.outbox import Ticket
+from fleetpose.hmi_client.network.update_log import KeptUpdates
+from fleetpose.protocol.keys import checked_name, ordered_pair
+from fleetpose.protocol.messages import OperatorUpdate, Selection, ViewName
 
 T = TypeVar("T")
 

@@ -8,18 +8,18 @@ import logging
 import threading
 from collections.abc import Callable
 
-from hmi_client.model.records import Picture
-from hmi_client.model.session import OperatorSession
-from hmi_client.network.intake import Intake
-from hmi_client.network.message_decoder import Arrived
-from hmi_client.network.sender import Sender
-from hmi_client.network.view_requests import Fetcher
-from protocol.drops import Drops
-from protocol.errors import FleetPoseError, UnreachableError
-from protocol.keys import Keys
-from protocol.messages import ViewName
-from protocol.presence import LiveServer
-from protocol.transport import Link, Sample, Slots
+from fleetpose.hmi_client.model.records import Picture
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.network.intake import Intake
+from fleetpose.hmi_client.network.message_decoder import Arrived
+from fleetpose.hmi_client.network.sender import Sender
+from fleetpose.hmi_client.network.view_requests import Fetcher
+from fleetpose.protocol.drops import Drops
+from fleetpose.protocol.errors import FleetPoseError, UnreachableError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import ViewName
+from fleetpose.protocol.presence import LiveServer
+from fleetpose.protocol.transport import Link, Sample, Slots
 
 log = logging.getLogger(__name__)
 

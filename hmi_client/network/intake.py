@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 
-from hmi_client.errors import PictureError
-from hmi_client.model.records import Picture
-from hmi_client.model.session import OperatorSession
-from hmi_client.network.message_decoder import Arrived, opened, picture_in
-from protocol.errors import CodecError
-from protocol.keys import Keys
-from protocol.messages import (
+from fleetpose.hmi_client.errors import PictureError
+from fleetpose.hmi_client.model.records import Picture
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.network.message_decoder import Arrived, opened, picture_in
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import (
     Alignment,
     CameraAnnouncement,
     FleetState,
@@ -18,8 +18,8 @@ from protocol.messages import (
     Selection,
     ServerStatus,
 )
-from protocol.messages.base import Message
-from protocol.transport import Sample
+from fleetpose.protocol.messages.base import Message
+from fleetpose.protocol.transport import Sample
 
 MAX_ROBOTS = 20_000  # names may be anybody's invention
 

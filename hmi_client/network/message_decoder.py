@@ -5,13 +5,13 @@ it.
 from dataclasses import dataclass
 from typing import TypeVar
 
-from hmi_client.errors import PictureError
-from hmi_client.model.jpeg import check_size, frame_of
-from hmi_client.model.records import Picture
-from protocol.codec import unpack
-from protocol.errors import CodecError
-from protocol.keys import Keys
-from protocol.messages import (
+from fleetpose.hmi_client.errors import PictureError
+from fleetpose.hmi_client.model.jpeg import check_size, frame_of
+from fleetpose.hmi_client.model.records import Picture
+from fleetpose.protocol.codec import unpack
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import (
     Alignment,
     Camera,
     CameraAnnouncement,
@@ -23,8 +23,8 @@ from protocol.messages import (
     Selection,
     ServerStatus,
 )
-from protocol.messages.base import MAX_MESSAGE_BYTES, Message
-from protocol.transport import ENCODING_JPEG, Sample
+from fleetpose.protocol.messages.base import MAX_MESSAGE_BYTES, Message
+from fleetpose.protocol.transport import ENCODING_JPEG, Sample
 
 M = TypeVar("M", bound=Message)
 

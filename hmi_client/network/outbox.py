@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from itertools import takewhile
 from typing import Any, Literal
 
-from hmi_client.model.records import Pair, Pick
-from hmi_client.network.update_log import KeptUpdates, Life
-from protocol.keys import new_epoch
-from protocol.messages import OperatorUpdate, Receipts
+from fleetpose.hmi_client.model.records import Pair, Pick
+from fleetpose.hmi_client.network.update_log import KeptUpdates, Life
+from fleetpose.protocol.keys import new_epoch
+from fleetpose.protocol.messages import OperatorUpdate, Receipts
 
 Action = Literal["add", "move", "erase", "clear"]
 

@@ -5,11 +5,11 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from hmi_client.model.session import OperatorSession
-from protocol.codec import encoding_of, pack
-from protocol.keys import Keys
-from protocol.messages import OperatorUpdate, Selection
-from protocol.transport import Link, Sample
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.protocol.codec import encoding_of, pack
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import OperatorUpdate, Selection
+from fleetpose.protocol.transport import Link, Sample
 
 REPEAT_S = 1.0  # an update is offered again after this long without a receipt
 RETELL_S = 5.0  # a selection is told again after this long: servers and operators forget them

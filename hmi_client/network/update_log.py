@@ -8,10 +8,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from hmi_client.errors import OperatorError
-from protocol.codec import pack, unpack
-from protocol.errors import CodecError
-from protocol.messages import OperatorUpdate
+from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.protocol.codec import pack, unpack
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.messages import OperatorUpdate
 
 _VERSION = 1
 _TABLES = """

@@ -7,16 +7,16 @@ import threading
 import time
 from collections.abc import Callable
 
-from hmi_client.errors import PictureError
-from hmi_client.model.depths import Depths
-from hmi_client.model.records import Picture
-from hmi_client.model.session import OperatorSession
-from hmi_client.network.message_decoder import checked_picture
-from protocol.codec import unpack
-from protocol.errors import CodecError, FleetPoseError, UnreachableError
-from protocol.keys import Keys
-from protocol.messages import ImageHeader, KeptView, ViewName
-from protocol.transport import Link
+from fleetpose.hmi_client.errors import PictureError
+from fleetpose.hmi_client.model.depths import Depths
+from fleetpose.hmi_client.model.records import Picture
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.network.message_decoder import checked_picture
+from fleetpose.protocol.codec import unpack
+from fleetpose.protocol.errors import CodecError, FleetPoseError, UnreachableError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import ImageHeader, KeptView, ViewName
+from fleetpose.protocol.transport import Link
 
 log = logging.getLogger(__name__)
 PATIENCE_S = 0.6  # without a live picture for this long, the robot is asked for its newest view

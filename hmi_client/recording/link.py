@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from hmi_client.recording.file import Recorder
-from protocol.transport import Link, Publisher, Sample
+from fleetpose.hmi_client.recording.file import Recorder
+from fleetpose.protocol.transport import Link, Publisher, Sample
 
 
 @dataclass

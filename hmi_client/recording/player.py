@@ -11,18 +11,18 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import NoReturn, TypeVar
 
-from hmi_client.errors import OperatorError
-from hmi_client.model.depths import Depths
-from hmi_client.model.session import OperatorSession
-from hmi_client.network.intake import Intake
-from hmi_client.network.message_decoder import checked_picture
-from hmi_client.recording.file import Record, Recording
-from protocol.codec import encoding_of, unpack
-from protocol.errors import FleetPoseError
-from protocol.keys import Keys
-from protocol.messages import ImageHeader, KeptView, OperatorUpdate, Selection
-from protocol.messages.base import Message
-from protocol.transport import Sample
+from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.model.depths import Depths
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.network.intake import Intake
+from fleetpose.hmi_client.network.message_decoder import checked_picture
+from fleetpose.hmi_client.recording.file import Record, Recording
+from fleetpose.protocol.codec import encoding_of, unpack
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import ImageHeader, KeptView, OperatorUpdate, Selection
+from fleetpose.protocol.messages.base import Message
+from fleetpose.protocol.transport import Sample
 
 _FIXED = "this is a recording: nothing can be changed in it"
 M = TypeVar("M", bound=Message)

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator
 
-from hmi_client.recording.file import Record, Recording
-from protocol.codec import encoding_of, unpack
-from protocol.errors import FleetPoseError
-from protocol.messages import Alignment, FleetState, OperatorUpdate, Receipts, Selection
-from protocol.text import one_line
+from fleetpose.hmi_client.recording.file import Record, Recording
+from fleetpose.protocol.codec import encoding_of, unpack
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.messages import Alignment, FleetState, OperatorUpdate, Receipts, Selection
+from fleetpose.protocol.text import one_line
 
 
 def timeline(recording: Recording) -> Iterator[str]:

@@ -4,26 +4,25 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+from fleetpose.hmi_client.assist.pick_assist import Expected, Guide
+from fleetpose.hmi_client.assist.suggestions import Proposal, Proposals
+from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.tui import bindings
+from fleetpose.hmi_client.tui.drawing import palette
+from fleetpose.hmi_client.tui.panels.image_panel import ImagePanel
+from fleetpose.hmi_client.tui.panels.list_panel import ListPanel
+from fleetpose.hmi_client.tui.panels.map_panel import MapPanel
+from fleetpose.hmi_client.tui.panels.matrix_panel import MatrixPanel
+from fleetpose.hmi_client.tui.panels.pages import Page, WhyPages, events_text, help_text
+from fleetpose.hmi_client.tui.panels.panel import PanelMixin
+from fleetpose.hmi_client.tui.panels.status_panel import StatusPanel
+from fleetpose.hmi_client.tui.stylesheet import CSS
+from fleetpose.hmi_client.tui.terminal.driver import PatientDriver
 from textual.app import App, ComposeResult
 from textual.containers import Container, Horizontal, Vertical
 from textual.driver import Driver
 from textual.widgets import Footer
-
-from hmi_client.assist.pick_assist import Expected, Guide
-from hmi_client.assist.suggestions import Proposal, Proposals
-from hmi_client.errors import OperatorError
-from hmi_client.model.session import OperatorSession
-from hmi_client.tui import bindings
-from hmi_client.tui.drawing import palette
-from hmi_client.tui.panels.image_panel import ImagePanel
-from hmi_client.tui.panels.list_panel import ListPanel
-from hmi_client.tui.panels.map_panel import MapPanel
-from hmi_client.tui.panels.matrix_panel import MatrixPanel
-from hmi_client.tui.panels.pages import Page, WhyPages, events_text, help_text
-from hmi_client.tui.panels.panel import PanelMixin
-from hmi_client.tui.panels.status_panel import StatusPanel
-from hmi_client.tui.stylesheet import CSS
-from hmi_client.tui.terminal.driver import PatientDriver
 
 SLOW_S = 0.5  # numbers that change faster cannot be read
 THRESHOLD_STEP = 1.25

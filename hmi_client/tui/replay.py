@@ -3,19 +3,18 @@
 import threading
 from pathlib import Path
 
+from fleetpose.hmi_client.recording.file import Recording
+from fleetpose.hmi_client.recording.player import PlayClock, PlayedSession, Player
+from fleetpose.hmi_client.tui.app import FleetApp
+from fleetpose.hmi_client.tui.bindings import KeyMap
+from fleetpose.hmi_client.tui.drawing import palette
+from fleetpose.hmi_client.tui.drawing.palette import style
+from fleetpose.hmi_client.tui.panels.panel import PanelMixin, line
+from fleetpose.hmi_client.tui.run import keymap_of, own_screen
+from fleetpose.hmi_client.tui.terminal.driver import PatientDriver
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.strip import Strip
-
-from hmi_client.recording.file import Recording
-from hmi_client.recording.player import PlayClock, PlayedSession, Player
-from hmi_client.tui.app import FleetApp
-from hmi_client.tui.bindings import KeyMap
-from hmi_client.tui.drawing import palette
-from hmi_client.tui.drawing.palette import style
-from hmi_client.tui.panels.panel import PanelMixin, line
-from hmi_client.tui.run import keymap_of, own_screen
-from hmi_client.tui.terminal.driver import PatientDriver
 
 SKIP_S = 10.0
 

@@ -11,17 +11,17 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr
 from pathlib import Path
 
-from hmi_client.cli.connection import Connection
-from hmi_client.errors import OperatorError
-from hmi_client.model.session import OperatorSession
-from hmi_client.network.update_log import KeptUpdates
-from hmi_client.recording.file import Recorder
-from hmi_client.tui.app import FleetApp
-from hmi_client.tui.bindings import KeyMap
-from hmi_client.tui.drawing import palette
-from hmi_client.tui.terminal.driver import PatientDriver
-from protocol.keys import checked_name
-from protocol.logs import log_to_file
+from fleetpose.hmi_client.cli.connection import Connection
+from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.network.update_log import KeptUpdates
+from fleetpose.hmi_client.recording.file import Recorder
+from fleetpose.hmi_client.tui.app import FleetApp
+from fleetpose.hmi_client.tui.bindings import KeyMap
+from fleetpose.hmi_client.tui.drawing import palette
+from fleetpose.hmi_client.tui.terminal.driver import PatientDriver
+from fleetpose.protocol.keys import checked_name
+from fleetpose.protocol.logs import log_to_file
 
 log = logging.getLogger(__name__)
 _M_ARENA_MAX = -8  # of glibc's malloc.h

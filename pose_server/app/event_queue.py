@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import TypeVar
 
-from protocol.codec import unpack
-from protocol.drops import Drops
-from protocol.errors import CodecError, FleetPoseError
-from protocol.keys import Keys
-from protocol.messages import Odometry, OperatorUpdate, Selection
-from protocol.messages.base import Message
-from protocol.messages.fields import EPOCH_PATTERN
-from protocol.transport import Answer, Link, Sample
+from fleetpose.protocol.codec import unpack
+from fleetpose.protocol.drops import Drops
+from fleetpose.protocol.errors import CodecError, FleetPoseError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import Odometry, OperatorUpdate, Selection
+from fleetpose.protocol.messages.base import Message
+from fleetpose.protocol.messages.fields import EPOCH_PATTERN
+from fleetpose.protocol.transport import Answer, Link, Sample
 
 M = TypeVar("M", bound=Message)
 MAX_WAITING = 10_000  # an operator's client repeats what it sent; a token that is lost is rare

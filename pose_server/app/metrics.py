@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from typing import Any
 
-from protocol.errors import FleetPoseError
-from protocol.messages import ServerStatus
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.messages import ServerStatus
 
 DEFAULT_HOST = "127.0.0.1"
 

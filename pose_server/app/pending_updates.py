@@ -4,7 +4,7 @@ may still have, or, soon after a start, for the robot itself.
 
 from collections.abc import Callable
 
-from protocol.messages import OperatorUpdate, ViewName
+from fleetpose.protocol.messages import OperatorUpdate, ViewName
 
 _MOST_WAITING = 1000  # beyond, an operator's client repeats what it sent
 _YOUNG_S = 10.0  # after a start everybody comes back in any order, operators before robots too

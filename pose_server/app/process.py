@@ -4,7 +4,7 @@ import signal
 import threading
 from collections.abc import Callable
 
-from pose_server.app.service import Service
+from fleetpose.pose_server.app.service import Service
 
 
 def serve(build: Callable[[], Service]) -> None:

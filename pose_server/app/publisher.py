@@ -6,15 +6,15 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from pose_server.messages import builders
-from pose_server.messages.builders import Stamp
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.settings import ServerSettings
-from pose_server.state.pairs import RobotPair
-from pose_server.state.site import Site
-from protocol.keys import Keys
-from protocol.messages import FleetState, OperatorUpdate, ViewName
-from protocol.messages.base import Message
+from fleetpose.pose_server.messages import builders
+from fleetpose.pose_server.messages.builders import Stamp
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.pose_server.state.pairs import RobotPair
+from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import FleetState, OperatorUpdate, ViewName
+from fleetpose.protocol.messages.base import Message
 
 _STATE_SHARE = 0.05  # of the server's own thread that making the fleet's state may take
 LONGEST_PAUSE_S = 1.0  # of the fleet's state, however long the last one took

@@ -3,15 +3,15 @@
 import time
 from collections.abc import Callable
 
-from pose_server.correspondences.journal import Journal
-from pose_server.correspondences.records import JournalError
-from pose_server.messages import builders, relative_pose
-from pose_server.settings import ServerSettings
-from pose_server.state.site import Site
-from protocol.codec import encoding_of, pack, unpack
-from protocol.messages import KeptView, View, ViewName
-from protocol.messages.base import Message
-from protocol.transport import Answer
+from fleetpose.pose_server.correspondences.journal import Journal
+from fleetpose.pose_server.correspondences.records import JournalError
+from fleetpose.pose_server.messages import builders, relative_pose
+from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.codec import encoding_of, pack, unpack
+from fleetpose.protocol.messages import KeptView, View, ViewName
+from fleetpose.protocol.messages.base import Message
+from fleetpose.protocol.transport import Answer
 
 Reply = Callable[[Site, ServerSettings, dict[str, str]], Answer]
 """Answers a query's parameters; in the server's own thread."""

@@ -4,7 +4,7 @@ import signal
 import threading
 from pathlib import Path
 
-from protocol.transport import SessionSettings, run_router
+from fleetpose.protocol.transport import SessionSettings, run_router
 
 
 def route(listen: tuple[str, ...], config: Path | None) -> None:

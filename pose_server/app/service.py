@@ -12,37 +12,45 @@ from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
 
-from pose_server import pipeline
-from pose_server.app import queries
-from pose_server.app.event_queue import Asked, Inbox, Moved, Noticed, Selected, TokenSeen, Updated
-from pose_server.app.metrics import Metrics
-from pose_server.app.pending_updates import Awaiting, EarlyUpdates
-from pose_server.app.publisher import Teller
-from pose_server.app.status import Load, Stages, server_status
-from pose_server.app.topics import Publishers
-from pose_server.app.view_requests import Fetched, FetchedNewest, FetchedWide, Fetcher
-from pose_server.calibration import monitor
-from pose_server.consistency import anchoring
-from pose_server.correspondences.journal import Journal, StoredView
-from pose_server.correspondences.records import JournalError, Session
-from pose_server.correspondences.store import Outcome
-from pose_server.persistence.graph_writer import Keeper, graph_of
-from pose_server.persistence.restore import GRAPH
-from pose_server.scheduling import affine_retries
-from pose_server.scheduling.pair_queue import compare_some
-from pose_server.settings import ServerSettings
-from pose_server.state.site import Site
-from pose_server.state.views import open_view
-from pose_server.workers.dask_pool import ClusterPool
-from pose_server.workers.jobs import Done
-from pose_server.workers.pools import Engine, LocalPool
-from protocol.codec import pack
-from protocol.drops import Drops
-from protocol.errors import CodecError, FleetPoseError
-from protocol.keys import Keys, new_epoch, ordered_pair
-from protocol.messages import KeptView, OperatorUpdate, ViewName
-from protocol.presence import Presence
-from protocol.transport import Answer, Link
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.app import queries
+from fleetpose.pose_server.app.event_queue import (
+    Asked,
+    Inbox,
+    Moved,
+    Noticed,
+    Selected,
+    TokenSeen,
+    Updated,
+)
+from fleetpose.pose_server.app.metrics import Metrics
+from fleetpose.pose_server.app.pending_updates import Awaiting, EarlyUpdates
+from fleetpose.pose_server.app.publisher import Teller
+from fleetpose.pose_server.app.status import Load, Stages, server_status
+from fleetpose.pose_server.app.topics import Publishers
+from fleetpose.pose_server.app.view_requests import Fetched, FetchedNewest, FetchedWide, Fetcher
+from fleetpose.pose_server.calibration import monitor
+from fleetpose.pose_server.consistency import anchoring
+from fleetpose.pose_server.correspondences.journal import Journal, StoredView
+from fleetpose.pose_server.correspondences.records import JournalError, Session
+from fleetpose.pose_server.correspondences.store import Outcome
+from fleetpose.pose_server.persistence.graph_writer import Keeper, graph_of
+from fleetpose.pose_server.persistence.restore import GRAPH
+from fleetpose.pose_server.scheduling import affine_retries
+from fleetpose.pose_server.scheduling.pair_queue import compare_some
+from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import open_view
+from fleetpose.pose_server.workers.dask_pool import ClusterPool
+from fleetpose.pose_server.workers.jobs import Done
+from fleetpose.pose_server.workers.pools import Engine, LocalPool
+from fleetpose.protocol.codec import pack
+from fleetpose.protocol.drops import Drops
+from fleetpose.protocol.errors import CodecError, FleetPoseError
+from fleetpose.protocol.keys import Keys, new_epoch, ordered_pair
+from fleetpose.protocol.messages import KeptView, OperatorUpdate, ViewName
+from fleetpose.protocol.presence import Presence
+from fleetpose.protocol.transport import Answer, Link
 
 log = logging.getLogger("pose_server")
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from statistics import median
 
-from pose_server.messages.builders import Stamp
-from pose_server.state.site import Site
-from pose_server.workers.pools import Engine
-from protocol.messages import ServerStatus
+from fleetpose.pose_server.messages.builders import Stamp
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.workers.pools import Engine
+from fleetpose.protocol.messages import ServerStatus
 
 _RATE_OVER_S = 10.0
 _DROPS = ("without_token", "worker_died")  # counted by the site

@@ -2,9 +2,9 @@
 
 from collections import OrderedDict
 
-from protocol.codec import encoding_of, pack
-from protocol.messages.base import Message
-from protocol.transport import Link, Publisher
+from fleetpose.protocol.codec import encoding_of, pack
+from fleetpose.protocol.messages.base import Message
+from fleetpose.protocol.transport import Link, Publisher
 
 MAX_PUBLISHERS = 20_000  # two per pair of a hundred robots, and room
 

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from pose_server.state.views import open_view
-from protocol.codec import pack, unpack
-from protocol.drops import Drops
-from protocol.errors import CodecError, FleetPoseError
-from protocol.keys import Keys
-from protocol.messages import KeptView, ViewName
-from protocol.transport import Sample
+from fleetpose.pose_server.state.views import open_view
+from fleetpose.protocol.codec import pack, unpack
+from fleetpose.protocol.drops import Drops
+from fleetpose.protocol.errors import CodecError, FleetPoseError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import KeptView, ViewName
+from fleetpose.protocol.transport import Sample
 
 log = logging.getLogger(__name__)
 

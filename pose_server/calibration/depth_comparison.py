@@ -10,10 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.calibration.resection import resection, seen_at
-from pose_server.geometry.features.observed import Observed
-from pose_server.geometry.se3 import hat, retract, transform
+from fleetpose.pose_server.calibration.resection import resection, seen_at
+from fleetpose.pose_server.geometry.features.observed import Observed
+from fleetpose.pose_server.geometry.se3 import hat, retract, transform
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]

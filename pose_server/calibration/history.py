@@ -6,12 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.calibration.clocks import Clocks
-from pose_server.calibration.depth_comparison import DepthErrors
-from pose_server.calibration.findings import RobotPair
-from pose_server.calibration.mirrors import Mirrors
-from pose_server.calibration.time_offset import Moments
+from fleetpose.pose_server.calibration.clocks import Clocks
+from fleetpose.pose_server.calibration.depth_comparison import DepthErrors
+from fleetpose.pose_server.calibration.findings import RobotPair
+from fleetpose.pose_server.calibration.mirrors import Mirrors
+from fleetpose.pose_server.calibration.time_offset import Moments
 
 Floats = npt.NDArray[np.floating]
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.calibration.findings import (
+from fleetpose.pose_server.calibration.findings import (
     LEAST_BEND_OTHER,
     LEAST_BEND_STEREO,
     Bend,
@@ -17,14 +16,14 @@ from pose_server.calibration.findings import (
     time_offset,
     wrong_scales,
 )
-from pose_server.calibration.history import Said
-from pose_server.consistency.anchoring import anchor_alarms
-from pose_server.consistency.doubts import doubt_alarms
-from pose_server.geometry.features.motion import Mask
-from pose_server.state.site import Site
-from pose_server.state.views import KeptView
-from pose_server.workers.jobs import Done
-from protocol.messages import Alarm, Camera, ViewName
+from fleetpose.pose_server.calibration.history import Said
+from fleetpose.pose_server.consistency.anchoring import anchor_alarms
+from fleetpose.pose_server.consistency.doubts import doubt_alarms
+from fleetpose.pose_server.geometry.features.motion import Mask
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import KeptView
+from fleetpose.pose_server.workers.jobs import Done
+from fleetpose.protocol.messages import Alarm, Camera, ViewName
 
 log = logging.getLogger("pose_server")
 

@@ -6,9 +6,8 @@ its pixels still fit the other's points, and that tells whose depths are off.
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.features.observed import Observed
-from pose_server.geometry.se3 import transform
+from fleetpose.pose_server.geometry.features.observed import Observed
+from fleetpose.pose_server.geometry.se3 import transform
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]

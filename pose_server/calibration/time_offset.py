@@ -10,10 +10,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.calibration.depth_shift import DepthShift
-from pose_server.calibration.findings import Estimate
-from protocol.messages import ViewName
+from fleetpose.pose_server.calibration.depth_shift import DepthShift
+from fleetpose.pose_server.calibration.findings import Estimate
+from fleetpose.protocol.messages import ViewName
 
 Floats = npt.NDArray[np.floating]
 

@@ -9,10 +9,10 @@ of them do.
 from collections import defaultdict
 from collections.abc import Sequence
 
-from pose_server.consistency.doubts import why_doubted
-from pose_server.state.robots import Robot
-from pose_server.state.site import Site
-from protocol.messages import Alarm, ViewName
+from fleetpose.pose_server.consistency.doubts import why_doubted
+from fleetpose.pose_server.state.robots import Robot
+from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.messages import Alarm, ViewName
 
 PATIENCE_S = 5.0  # as long as a pose counts as fresh: so long nobody was located
 

@@ -11,22 +11,21 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.frontend.tracks import Attached, moved
-from pose_server.geometry.noise import chi2_limit
-from pose_server.geometry.se3 import (
+from fleetpose.pose_server.frontend.tracks import Attached, moved
+from fleetpose.pose_server.geometry.noise import chi2_limit
+from fleetpose.pose_server.geometry.se3 import (
     compose_covariance,
     inverse,
     invert_covariance,
     log_so3,
     rotation_angle,
 )
-from pose_server.state.doubts import Doubt, Kind, Standstill
-from pose_server.state.odometry import Moment, camera_motion
-from pose_server.state.robots import Robot
-from pose_server.state.site import Site
-from pose_server.state.views import KeptView
-from protocol.messages import Alarm, ViewName
+from fleetpose.pose_server.state.doubts import Doubt, Kind, Standstill
+from fleetpose.pose_server.state.odometry import Moment, camera_motion
+from fleetpose.pose_server.state.robots import Robot
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import KeptView
+from fleetpose.protocol.messages import Alarm, ViewName
 
 log = logging.getLogger("pose_server")
 

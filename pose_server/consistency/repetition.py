@@ -8,8 +8,8 @@ its rivals is: it saw what is there only once.
 
 from dataclasses import replace
 
-from pose_server.pose_graph.types import Edge
-from pose_server.state.site import Site
+from fleetpose.pose_server.pose_graph.types import Edge
+from fleetpose.pose_server.state.site import Site
 
 _LEAST_TWOFOLD = 2  # pairs of robots to which two poses look right, and
 _OTHERWISE = 0.1  # a share so much larger or smaller

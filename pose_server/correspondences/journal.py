@@ -17,8 +17,7 @@ from typing import IO, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.correspondences.records import (
+from fleetpose.pose_server.correspondences.records import (
     MAX_REJECTIONS,
     BookState,
     Change,
@@ -26,10 +25,10 @@ from pose_server.correspondences.records import (
     Kept,
     Progress,
 )
-from pose_server.correspondences.schema import MIGRATIONS
-from protocol.codec import pack, unpack
-from protocol.errors import CodecError
-from protocol.messages import Correspondence, ImageHeader, Rejection, ViewName
+from fleetpose.pose_server.correspondences.schema import MIGRATIONS
+from fleetpose.protocol.codec import pack, unpack
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.messages import Correspondence, ImageHeader, Rejection, ViewName
 
 __all__ = ["Journal", "JournalError", "StoredView"]
 

@@ -10,21 +10,20 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.lift import NEIGHBOURS, LiftedPoint, lift_pixel
-from pose_server.registration.prepared_view import point_noise
-from pose_server.state.views import KeptView
-from protocol.clouds import (
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.lift import NEIGHBOURS, LiftedPoint, lift_pixel
+from fleetpose.pose_server.registration.prepared_view import point_noise
+from fleetpose.pose_server.state.views import KeptView
+from fleetpose.protocol.clouds import (
     CLICK_REACH_CELLS,
     CLICK_REACH_PX,
     decode_scattered,
     depth_image,
     grid_to_pixel,
 )
-from protocol.codec import unpack
-from protocol.errors import FleetPoseError
-from protocol.messages import DepthCloud, View, ViewName
+from fleetpose.protocol.codec import unpack
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.messages import DepthCloud, View, ViewName
 
 Floats = npt.NDArray[np.floating]
 

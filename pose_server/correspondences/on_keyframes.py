@@ -10,18 +10,17 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.correspondences.store import Kept
-from pose_server.frontend.tracks import Attached
-from pose_server.geometry.consensus import OUTLIER_CHI2
-from pose_server.geometry.point_pairs import PointPairs
-from pose_server.geometry.se3 import transform
-from pose_server.pose_graph.types import ClickFactor
-from pose_server.registration.operator_starts import FULL_POSE, Clicks
-from pose_server.registration.verdict.hearing import Hearing
-from pose_server.state.pairs import RobotPair
-from pose_server.state.site import Site
-from protocol.messages import CorrespondenceStatus, ViewName
+from fleetpose.pose_server.correspondences.store import Kept
+from fleetpose.pose_server.frontend.tracks import Attached
+from fleetpose.pose_server.geometry.consensus import OUTLIER_CHI2
+from fleetpose.pose_server.geometry.point_pairs import PointPairs
+from fleetpose.pose_server.geometry.se3 import transform
+from fleetpose.pose_server.pose_graph.types import ClickFactor
+from fleetpose.pose_server.registration.operator_starts import FULL_POSE, Clicks
+from fleetpose.pose_server.registration.verdict.hearing import Hearing
+from fleetpose.pose_server.state.pairs import RobotPair
+from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.messages import CorrespondenceStatus, ViewName
 
 Floats = npt.NDArray[np.floating]
 Judgement = tuple[CorrespondenceStatus, float | None, float | None]

@@ -6,9 +6,8 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-
-from protocol.errors import FleetPoseError
-from protocol.messages import Correspondence, Rejection, ViewName
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.messages import Correspondence, Rejection, ViewName
 
 Floats = npt.NDArray[np.floating]
 Pair = tuple[str, str]

@@ -11,8 +11,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.correspondences.records import (
+from fleetpose.pose_server.correspondences.records import (
     Change,
     JournalError,
     Kept,
@@ -22,9 +21,9 @@ from pose_server.correspondences.records import (
     Recorder,
     Session,
 )
-from protocol.errors import FleetPoseError
-from protocol.keys import ordered_pair
-from protocol.messages import (
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.messages import (
     Correspondence,
     CorrespondenceStatus,
     OperatorUpdate,

@@ -5,9 +5,8 @@ from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.frontend.tracks import Attached
-from pose_server.geometry.se3 import (
+from fleetpose.pose_server.frontend.tracks import Attached
+from fleetpose.pose_server.geometry.se3 import (
     adjoint,
     compose_covariance,
     exp_so3,
@@ -16,8 +15,8 @@ from pose_server.geometry.se3 import (
     make_pose,
     position_covariance,
 )
-from pose_server.registration.pair import GRAVE_POSITION
-from pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.registration.pair import GRAVE_POSITION
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 
 Floats = npt.NDArray[np.floating]
 _STRAY_RAD_S, _STRAY_SHARE_S = 0.02, 0.02  # of a robot unseen: turn, and way as a share of depth

@@ -6,29 +6,28 @@ from collections import Counter
 from typing import TypeVar
 
 import numpy as np
-
-from pose_server.calibration.monitor import note_moment, note_motion
-from pose_server.consistency.doubts import (
+from fleetpose.pose_server.calibration.monitor import note_moment, note_motion
+from fleetpose.pose_server.consistency.doubts import (
     DROVE,
     camera_frozen,
     note_lost,
     reconsider,
     wheels_disagree,
 )
-from pose_server.frontend.tracks import Attached, accepted, moved, standing
-from pose_server.pose_graph.types import Edge
-from pose_server.registration.refinement import Start
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.scheduling.pair_queue import note_keyframe, try_again
-from pose_server.scheduling.proposals import candidate_views
-from pose_server.scheduling.retries import note_stand
-from pose_server.state.odometry import camera_motion
-from pose_server.state.pairs import ViewPair
-from pose_server.state.robots import Robot
-from pose_server.state.site import Site
-from pose_server.state.views import STILL_PX, KeptView, something_moved, stands_still
-from pose_server.workers.jobs import Done, Job
-from protocol.messages import ViewName
+from fleetpose.pose_server.frontend.tracks import Attached, accepted, moved, standing
+from fleetpose.pose_server.pose_graph.types import Edge
+from fleetpose.pose_server.registration.refinement import Start
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.scheduling.pair_queue import note_keyframe, try_again
+from fleetpose.pose_server.scheduling.proposals import candidate_views
+from fleetpose.pose_server.scheduling.retries import note_stand
+from fleetpose.pose_server.state.odometry import camera_motion
+from fleetpose.pose_server.state.pairs import ViewPair
+from fleetpose.pose_server.state.robots import Robot
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import STILL_PX, KeptView, something_moved, stands_still
+from fleetpose.pose_server.workers.jobs import Done, Job
+from fleetpose.protocol.messages import ViewName
 
 MOST_KEYFRAMES, LEAST_KEYFRAMES = 40, 6  # of a robot, in a small and in a large fleet
 MOST_BLIND = 5  # keyframes in a row that hang by odometry alone

@@ -9,12 +9,11 @@ the same shift.
 from dataclasses import replace
 
 import numpy as np
-
-from pose_server.geometry.features.motion import Mask, moves_together
-from pose_server.geometry.se3 import transform
-from pose_server.registration.pair import Pair
-from pose_server.registration.prepared_view import PreparedView
-from pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.geometry.features.motion import Mask, moves_together
+from fleetpose.pose_server.geometry.se3 import transform
+from fleetpose.pose_server.registration.pair import Pair
+from fleetpose.pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 
 MOST_MASKED = 0.4  # share of a view's points: more than that is no object before a still scene
 _FAR_SIGMAS = 6.0  # of both points' noise, and

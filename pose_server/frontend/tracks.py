@@ -12,11 +12,10 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.features.motion import Mask
-from pose_server.geometry.se3 import rotation_angle
-from pose_server.registration.verdict.evaluate import PairResult
-from protocol.messages import Verdict, ViewName
+from fleetpose.pose_server.geometry.features.motion import Mask
+from fleetpose.pose_server.geometry.se3 import rotation_angle
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.protocol.messages import Verdict, ViewName
 
 Floats = npt.NDArray[np.floating]
 

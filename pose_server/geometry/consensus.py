@@ -13,12 +13,11 @@ from math import comb
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.dlt import rigid_unchecked, scale_between
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.noise import chi2_limit
-from pose_server.geometry.point_pairs import PointPairs
-from pose_server.geometry.spread import check_points, dimension, need_dimension
+from fleetpose.pose_server.geometry.dlt import rigid_unchecked, scale_between
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.noise import chi2_limit
+from fleetpose.pose_server.geometry.point_pairs import PointPairs
+from fleetpose.pose_server.geometry.spread import check_points, dimension, need_dimension
 
 Floats = npt.NDArray[np.floating]
 Bools = npt.NDArray[np.bool_]

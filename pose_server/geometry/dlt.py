@@ -17,10 +17,9 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.se3 import make_pose, nearest_rotation, transform
-from pose_server.geometry.spread import check_points, dimension, need_dimension
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.se3 import make_pose, nearest_rotation, transform
+from fleetpose.pose_server.geometry.spread import check_points, dimension, need_dimension
 
 Floats = npt.NDArray[np.floating]
 Model = Literal["translation", "rigid", "similarity", "affine", "projective"]

@@ -9,9 +9,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 import small_gicp
-
-from pose_server.geometry.errors import MissingLibraryError
-from pose_server.geometry.se3 import adjoint, inverse, transform
+from fleetpose.pose_server.geometry.errors import MissingLibraryError
+from fleetpose.pose_server.geometry.se3 import adjoint, inverse, transform
 
 Floats = npt.NDArray[np.floating]
 

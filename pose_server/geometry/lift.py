@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.noise import PointNoise, covariances
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.noise import PointNoise, covariances
 
 Floats = npt.NDArray[np.floating]
 

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.gravity import Gravity
-from pose_server.geometry.se3 import hat, retract, transform
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.gravity import Gravity
+from fleetpose.pose_server.geometry.se3 import hat, retract, transform
 
 Floats = npt.NDArray[np.floating]
 

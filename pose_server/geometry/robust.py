@@ -5,9 +5,8 @@ rigid fit.
 import kiss_matcher
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.dlt import rigid_unchecked
-from pose_server.geometry.se3 import make_pose, transform
+from fleetpose.pose_server.geometry.dlt import rigid_unchecked
+from fleetpose.pose_server.geometry.se3 import make_pose, transform
 
 Floats = npt.NDArray[np.floating]
 

@@ -4,13 +4,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from fleetpose.pose_server.geometry.noise import chi2_limit
+from fleetpose.pose_server.mapping.colours import robot_colours
+from fleetpose.pose_server.mapping.projection import Projection
+from fleetpose.pose_server.mapping.scene import MapCamera, MapLink, Scene
 from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
 from matplotlib.patheffects import withStroke
-
-from pose_server.geometry.noise import chi2_limit
-from pose_server.mapping.colours import robot_colours
-from pose_server.mapping.projection import Projection
-from pose_server.mapping.scene import MapCamera, MapLink, Scene
 
 Floats = npt.NDArray[np.floating]
 

@@ -6,9 +6,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from pose_server.mapping.ply import write_ply
-from pose_server.mapping.scene import Scene
-from protocol.errors import FleetPoseError
+from fleetpose.pose_server.mapping.ply import write_ply
+from fleetpose.pose_server.mapping.scene import Scene
+from fleetpose.protocol.errors import FleetPoseError
 
 PICTURES = (".png", ".pdf", ".svg", ".jpg")
 LEAST_VOXEL_M = 1e-3
@@ -64,7 +64,7 @@ class MapFiles:
                 self.cloud.parent.mkdir(parents=True, exist_ok=True)
                 write_ply(self.cloud, scene.fleet_map)
         if self.picture is not None:
-            from pose_server.mapping.picture import draw  # matplotlib takes a while
+            from fleetpose.pose_server.mapping.picture import draw  # matplotlib takes a while
 
             with _told("--picture", self.picture):
                 self.picture.parent.mkdir(parents=True, exist_ok=True)

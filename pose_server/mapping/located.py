@@ -5,20 +5,25 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.frontend.frames import body_pose, in_fleet
-from pose_server.geometry.se3 import position_covariance
-from pose_server.mapping.merging import MOST_SIGMA, FleetMap, PlacedCloud, merge, usual_voxel_m
-from pose_server.mapping.scene import MapCamera, MapLink, Scene, corners_of
-from pose_server.messages.builders import why_misplaced
-from pose_server.registration.prepared_view import point_noise
-from pose_server.settings import ServerSettings
-from pose_server.state.site import Site
-from pose_server.state.views import KeptView
-from protocol.clouds import points_of
-from protocol.codec import unpack
-from protocol.errors import FleetPoseError
-from protocol.messages import View, ViewName
+from fleetpose.pose_server.frontend.frames import body_pose, in_fleet
+from fleetpose.pose_server.geometry.se3 import position_covariance
+from fleetpose.pose_server.mapping.merging import (
+    MOST_SIGMA,
+    FleetMap,
+    PlacedCloud,
+    merge,
+    usual_voxel_m,
+)
+from fleetpose.pose_server.mapping.scene import MapCamera, MapLink, Scene, corners_of
+from fleetpose.pose_server.messages.builders import why_misplaced
+from fleetpose.pose_server.registration.prepared_view import point_noise
+from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import KeptView
+from fleetpose.protocol.clouds import points_of
+from fleetpose.protocol.codec import unpack
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.messages import View, ViewName
 
 Floats = npt.NDArray[np.floating]
 Watched = Callable[[Sequence["PlacedView"]], Iterable["PlacedView"]]

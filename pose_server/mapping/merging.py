@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import small_gicp
-
-from pose_server.geometry.noise import PointNoise
-from pose_server.geometry.se3 import transform
+from fleetpose.pose_server.geometry.noise import PointNoise
+from fleetpose.pose_server.geometry.se3 import transform
 
 Floats = npt.NDArray[np.floating]
 

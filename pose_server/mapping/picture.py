@@ -7,13 +7,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-
-from pose_server.geometry.noise import chi2_limit
-from pose_server.mapping.colours import robot_colours
-from pose_server.mapping.drawing import (
+from fleetpose.pose_server.geometry.noise import chi2_limit
+from fleetpose.pose_server.mapping.colours import robot_colours
+from fleetpose.pose_server.mapping.drawing import (
     HALO,
     LINKS,
     OUTSIDE_ELLIPSOID,
@@ -22,9 +18,12 @@ from pose_server.mapping.drawing import (
     draw_names,
     kind_of,
 )
-from pose_server.mapping.projection import Projection, aslant, from_above
-from pose_server.mapping.raster import dots
-from pose_server.mapping.scene import Scene
+from fleetpose.pose_server.mapping.projection import Projection, aslant, from_above
+from fleetpose.pose_server.mapping.raster import dots
+from fleetpose.pose_server.mapping.scene import Scene
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 Floats = npt.NDArray[np.floating]
 

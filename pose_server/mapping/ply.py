@@ -3,9 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-
-from pose_server.mapping.colours import robot_colours
-from pose_server.mapping.merging import FleetMap
+from fleetpose.pose_server.mapping.colours import robot_colours
+from fleetpose.pose_server.mapping.merging import FleetMap
 
 _VERTEX = np.dtype(
     [(axis, "<f4") for axis in "xyz"]

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.mapping.merging import FleetMap
-from protocol.messages import Camera, Verdict
+from fleetpose.pose_server.mapping.merging import FleetMap
+from fleetpose.protocol.messages import Camera, Verdict
 
 Floats = npt.NDArray[np.floating]
 

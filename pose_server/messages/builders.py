@@ -4,20 +4,25 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.calibration import monitor
-from pose_server.consistency.anchoring import why_apart
-from pose_server.consistency.doubts import why_doubted
-from pose_server.frontend.frames import body_pose, grave_by_noise, in_fleet, position_sigma, strayed
-from pose_server.geometry.se3 import inverse, rotation_angle
-from pose_server.messages.error_matrix import error_of, pair_cells
-from pose_server.pose_graph.types import NodePose
-from pose_server.questions.facts import questions
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.settings import ServerSettings
-from pose_server.state.robots import Robot
-from pose_server.state.site import Site
-from protocol.messages import (
+from fleetpose.pose_server.calibration import monitor
+from fleetpose.pose_server.consistency.anchoring import why_apart
+from fleetpose.pose_server.consistency.doubts import why_doubted
+from fleetpose.pose_server.frontend.frames import (
+    body_pose,
+    grave_by_noise,
+    in_fleet,
+    position_sigma,
+    strayed,
+)
+from fleetpose.pose_server.geometry.se3 import inverse, rotation_angle
+from fleetpose.pose_server.messages.error_matrix import error_of, pair_cells
+from fleetpose.pose_server.pose_graph.types import NodePose
+from fleetpose.pose_server.questions.facts import questions
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.pose_server.state.robots import Robot
+from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.messages import (
     Alignment,
     FleetState,
     IcpFit,

@@ -4,10 +4,10 @@ A cell tells of the last alignment. The graph may rest on better ones of earlier
 where the robots are, not how well they are seen to fit now.
 """
 
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.state.pairs import RobotPair
-from pose_server.state.site import Site
-from protocol.messages import PairCell, ViewName
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.state.pairs import RobotPair
+from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.messages import PairCell, ViewName
 
 _OLD_S = 60.0  # from then on an alignment's age is told to ten seconds
 

@@ -4,15 +4,14 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.frontend.frames import in_fleet, strayed
-from pose_server.geometry.se3 import inverse
-from pose_server.messages.builders import unknown, why_not_located
-from pose_server.pose_graph.types import FleetSolution
-from pose_server.settings import ServerSettings
-from pose_server.state.site import Site
-from protocol.keys import ordered_pair
-from protocol.messages import RelativePose, Verdict, ViewName
+from fleetpose.pose_server.frontend.frames import in_fleet, strayed
+from fleetpose.pose_server.geometry.se3 import inverse
+from fleetpose.pose_server.messages.builders import unknown, why_not_located
+from fleetpose.pose_server.pose_graph.types import FleetSolution
+from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.messages import RelativePose, Verdict, ViewName
 
 Floats = npt.NDArray[np.floating]
 _WEAKEST_FIRST: tuple[Verdict, ...] = ("rejected", "ambiguous", "plausible", "verified")

@@ -7,22 +7,21 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.correspondences.journal import Journal
-from pose_server.frontend.frames import body_pose
-from pose_server.geometry.se3 import quat_wxyz
-from pose_server.mapping.files import MapFiles
-from pose_server.mapping.located import Watched, map_of
-from pose_server.mapping.scene import Scene
-from pose_server.persistence.opening import ExportError, opened_session
-from pose_server.persistence.table import write_csv, write_json
-from pose_server.pose_graph import factors as gt
-from pose_server.pose_graph.links import links_of
-from pose_server.pose_graph.types import SolveSettings
-from pose_server.settings import ServerSettings
-from pose_server.state.site import Site
-from protocol.codec import pack, unpack
-from protocol.messages import KeptView, View, ViewName
+from fleetpose.pose_server.correspondences.journal import Journal
+from fleetpose.pose_server.frontend.frames import body_pose
+from fleetpose.pose_server.geometry.se3 import quat_wxyz
+from fleetpose.pose_server.mapping.files import MapFiles
+from fleetpose.pose_server.mapping.located import Watched, map_of
+from fleetpose.pose_server.mapping.scene import Scene
+from fleetpose.pose_server.persistence.opening import ExportError, opened_session
+from fleetpose.pose_server.persistence.table import write_csv, write_json
+from fleetpose.pose_server.pose_graph import factors as gt
+from fleetpose.pose_server.pose_graph.links import links_of
+from fleetpose.pose_server.pose_graph.types import SolveSettings
+from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.codec import pack, unpack
+from fleetpose.protocol.messages import KeptView, View, ViewName
 
 Floats = npt.NDArray[np.floating]
 VIEWS = "views"

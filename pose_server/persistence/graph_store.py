@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.structure import Structure
-from pose_server.pose_graph.types import Edge, EdgeKey
-from protocol.errors import FleetPoseError
-from protocol.messages import ViewName
+from fleetpose.pose_server.geometry.structure import Structure
+from fleetpose.pose_server.pose_graph.types import Edge, EdgeKey
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.messages import ViewName
 
 Floats = npt.NDArray[np.floating]
 Key = tuple[str, str, int]

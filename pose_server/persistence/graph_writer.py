@@ -5,8 +5,8 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from pose_server.persistence.graph_store import Graph, GraphStore, GraphStoreError
-from pose_server.state.site import Site
+from fleetpose.pose_server.persistence.graph_store import Graph, GraphStore, GraphStoreError
+from fleetpose.pose_server.state.site import Site
 
 log = logging.getLogger("pose_server")
 

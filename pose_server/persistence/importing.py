@@ -6,19 +6,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-
-from pose_server import pipeline
-from pose_server.correspondences.journal import Journal, StoredView
-from pose_server.persistence.export import VIEWS, view_file
-from pose_server.persistence.graph_writer import stored_graph
-from pose_server.persistence.restore import folder_files, restored_site
-from pose_server.persistence.table import Click, read_rows
-from pose_server.state.site import Site
-from pose_server.state.views import open_view
-from protocol.codec import pack, unpack
-from protocol.errors import CodecError, FleetPoseError
-from protocol.keys import new_epoch
-from protocol.messages import KeptView, OperatorUpdate, ViewName
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.correspondences.journal import Journal, StoredView
+from fleetpose.pose_server.persistence.export import VIEWS, view_file
+from fleetpose.pose_server.persistence.graph_writer import stored_graph
+from fleetpose.pose_server.persistence.restore import folder_files, restored_site
+from fleetpose.pose_server.persistence.table import Click, read_rows
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import open_view
+from fleetpose.protocol.codec import pack, unpack
+from fleetpose.protocol.errors import CodecError, FleetPoseError
+from fleetpose.protocol.keys import new_epoch
+from fleetpose.protocol.messages import KeptView, OperatorUpdate, ViewName
 
 
 @dataclass

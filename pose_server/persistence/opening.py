@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from pose_server import pipeline
-from pose_server.correspondences.journal import Journal
-from pose_server.persistence.graph_store import read_graph
-from pose_server.persistence.restore import folder_files, restored_site
-from pose_server.state.site import Site
-from protocol.errors import FleetPoseError
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.correspondences.journal import Journal
+from fleetpose.pose_server.persistence.graph_store import read_graph
+from fleetpose.pose_server.persistence.restore import folder_files, restored_site
+from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.errors import FleetPoseError
 
 
 class ExportError(FleetPoseError):

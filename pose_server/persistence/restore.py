@@ -5,15 +5,15 @@ import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from pose_server.correspondences.journal import Journal
-from pose_server.correspondences.store import Book
-from pose_server.persistence.graph_store import Graph
-from pose_server.pose_graph.types import Edge
-from pose_server.scheduling import pair_queue
-from pose_server.state.site import Site
-from pose_server.state.views import KeptView, open_view
-from protocol.errors import CodecError
-from protocol.messages import ViewName
+from fleetpose.pose_server.correspondences.journal import Journal
+from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.persistence.graph_store import Graph
+from fleetpose.pose_server.pose_graph.types import Edge
+from fleetpose.pose_server.scheduling import pair_queue
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import KeptView, open_view
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.messages import ViewName
 
 log = logging.getLogger("pose_server")
 

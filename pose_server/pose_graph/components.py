@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.noise import chi2_limit
-from pose_server.geometry.point_pairs import PointPairs
-from pose_server.geometry.se3 import (
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.noise import chi2_limit
+from fleetpose.pose_server.geometry.point_pairs import PointPairs
+from fleetpose.pose_server.geometry.se3 import (
     compose_covariance,
     hat,
     inverse,
@@ -25,12 +24,12 @@ from pose_server.geometry.se3 import (
     rotation_angle,
     transform,
 )
-from pose_server.pose_graph.forest import Forest
-from pose_server.pose_graph.from_clicks import pose_from_clicks
-from pose_server.pose_graph.links import CONFIRMED, Link, link
-from pose_server.pose_graph.types import ClickFactor, SolveSettings
-from pose_server.pose_graph.witnesses import all_grave, independent, some_grave
-from protocol.messages import ViewName
+from fleetpose.pose_server.pose_graph.forest import Forest
+from fleetpose.pose_server.pose_graph.from_clicks import pose_from_clicks
+from fleetpose.pose_server.pose_graph.links import CONFIRMED, Link, link
+from fleetpose.pose_server.pose_graph.types import ClickFactor, SolveSettings
+from fleetpose.pose_server.pose_graph.witnesses import all_grave, independent, some_grave
+from fleetpose.protocol.messages import ViewName
 
 Floats = npt.NDArray[np.floating]
 Hint = Callable[[int, int], Floats | None]

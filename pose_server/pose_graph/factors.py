@@ -11,11 +11,10 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.point_pairs import PointPairs
-from pose_server.geometry.se3 import adjoint, inverse, retract
-from pose_server.pose_graph.links import Link
-from protocol.messages import ViewName
+from fleetpose.pose_server.geometry.point_pairs import PointPairs
+from fleetpose.pose_server.geometry.se3 import adjoint, inverse, retract
+from fleetpose.pose_server.pose_graph.links import Link
+from fleetpose.protocol.messages import ViewName
 
 Floats = npt.NDArray[np.floating]
 

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.se3 import compose_covariance
-from pose_server.pose_graph.links import Link
+from fleetpose.pose_server.geometry.se3 import compose_covariance
+from fleetpose.pose_server.pose_graph.links import Link
 
 Floats = npt.NDArray[np.floating]
 

@@ -2,11 +2,10 @@
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.consensus import consensus
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.noise import chi2_limit
-from pose_server.geometry.point_pairs import PointPairs
+from fleetpose.pose_server.geometry.consensus import consensus
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.noise import chi2_limit
+from fleetpose.pose_server.geometry.point_pairs import PointPairs
 
 Floats = npt.NDArray[np.floating]
 

@@ -4,12 +4,11 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.pose_graph.layout import FleetInput, placed_clicks
-from pose_server.pose_graph.report import solution_of
-from pose_server.pose_graph.robust_optimization import settle
-from pose_server.pose_graph.types import ClickFactor, Edge, FleetSolution, SolveSettings
-from protocol.messages import ViewName
+from fleetpose.pose_server.pose_graph.layout import FleetInput, placed_clicks
+from fleetpose.pose_server.pose_graph.report import solution_of
+from fleetpose.pose_server.pose_graph.robust_optimization import settle
+from fleetpose.pose_server.pose_graph.types import ClickFactor, Edge, FleetSolution, SolveSettings
+from fleetpose.protocol.messages import ViewName
 
 Floats = npt.NDArray[np.floating]
 

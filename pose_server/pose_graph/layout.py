@@ -7,15 +7,14 @@ from functools import cached_property
 import gtsam
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.point_pairs import PointPairs
-from pose_server.geometry.se3 import inverse
-from pose_server.pose_graph.components import Partition, hint_from, partition
-from pose_server.pose_graph.factors import ClickSummary, between
-from pose_server.pose_graph.forest import Reached
-from pose_server.pose_graph.links import VERIFIED, Link, joins_alone, links_of
-from pose_server.pose_graph.types import ClickFactor, Edge, FleetSolution, SolveSettings
-from protocol.messages import ViewName
+from fleetpose.pose_server.geometry.point_pairs import PointPairs
+from fleetpose.pose_server.geometry.se3 import inverse
+from fleetpose.pose_server.pose_graph.components import Partition, hint_from, partition
+from fleetpose.pose_server.pose_graph.factors import ClickSummary, between
+from fleetpose.pose_server.pose_graph.forest import Reached
+from fleetpose.pose_server.pose_graph.links import VERIFIED, Link, joins_alone, links_of
+from fleetpose.pose_server.pose_graph.types import ClickFactor, Edge, FleetSolution, SolveSettings
+from fleetpose.protocol.messages import ViewName
 
 Floats = npt.NDArray[np.floating]
 Known = Sequence[tuple[ViewName, Floats] | None]

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.se3 import hat
-from pose_server.geometry.structure import Structure
-from pose_server.pose_graph.types import Edge, SolveSettings
-from protocol.messages import Verdict, ViewName
+from fleetpose.pose_server.geometry.se3 import hat
+from fleetpose.pose_server.geometry.structure import Structure
+from fleetpose.pose_server.pose_graph.types import Edge, SolveSettings
+from fleetpose.protocol.messages import Verdict, ViewName
 
 Floats = npt.NDArray[np.floating]
 

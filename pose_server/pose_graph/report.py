@@ -4,15 +4,14 @@ from collections.abc import Iterable
 
 import gtsam
 import numpy as np
-
-from pose_server.geometry.noise import chi2_limit
-from pose_server.geometry.se3 import inverse, transform
-from pose_server.pose_graph import factors as gt
-from pose_server.pose_graph.layout import FleetInput, Layout
-from pose_server.pose_graph.links import CONTESTED, VERDICT_OF_RANK, VERIFIED
-from pose_server.pose_graph.robust_optimization import Found, contested_edges
-from pose_server.pose_graph.shared_errors import inflations
-from pose_server.pose_graph.types import (
+from fleetpose.pose_server.geometry.noise import chi2_limit
+from fleetpose.pose_server.geometry.se3 import inverse, transform
+from fleetpose.pose_server.pose_graph import factors as gt
+from fleetpose.pose_server.pose_graph.layout import FleetInput, Layout
+from fleetpose.pose_server.pose_graph.links import CONTESTED, VERDICT_OF_RANK, VERIFIED
+from fleetpose.pose_server.pose_graph.robust_optimization import Found, contested_edges
+from fleetpose.pose_server.pose_graph.shared_errors import inflations
+from fleetpose.pose_server.pose_graph.types import (
     Bridge,
     ClickJudgement,
     EdgeJudgement,
@@ -21,8 +20,8 @@ from pose_server.pose_graph.types import (
     NodePose,
     Told,
 )
-from pose_server.pose_graph.witnesses import along_surest_ways
-from protocol.messages import ViewName
+from fleetpose.pose_server.pose_graph.witnesses import along_surest_ways
+from fleetpose.protocol.messages import ViewName
 
 
 def solution_of(

@@ -13,13 +13,12 @@ from functools import cached_property
 import gtsam
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.noise import chi2_limit
-from pose_server.geometry.se3 import inverse, rotation_angle
-from pose_server.pose_graph import factors as gt
-from pose_server.pose_graph.forest import Forest, Reached, Sets, without_bridges
-from pose_server.pose_graph.layout import FleetInput, Layout
-from pose_server.pose_graph.links import CONFIRMED, CONTESTED, VERIFIED, Link
+from fleetpose.pose_server.geometry.noise import chi2_limit
+from fleetpose.pose_server.geometry.se3 import inverse, rotation_angle
+from fleetpose.pose_server.pose_graph import factors as gt
+from fleetpose.pose_server.pose_graph.forest import Forest, Reached, Sets, without_bridges
+from fleetpose.pose_server.pose_graph.layout import FleetInput, Layout
+from fleetpose.pose_server.pose_graph.links import CONFIRMED, CONTESTED, VERIFIED, Link
 
 Floats = npt.NDArray[np.floating]
 Bools = npt.NDArray[np.bool_]

@@ -11,8 +11,7 @@ from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.pose_graph.links import Link
+from fleetpose.pose_server.pose_graph.links import Link
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]

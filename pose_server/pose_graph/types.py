@@ -9,10 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.se3 import inverse
-from pose_server.geometry.structure import Structure
-from protocol.messages import Verdict, ViewName
+from fleetpose.pose_server.geometry.se3 import inverse
+from fleetpose.pose_server.geometry.structure import Structure
+from fleetpose.protocol.messages import Verdict, ViewName
 
 Floats = npt.NDArray[np.floating]
 EdgeKind = Literal["odometry", "pair"]

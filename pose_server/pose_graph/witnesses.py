@@ -27,10 +27,9 @@ from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.structure import Structure
-from pose_server.pose_graph.links import Link
-from pose_server.pose_graph.types import GRAVE_ODOMETRY
+from fleetpose.pose_server.geometry.structure import Structure
+from fleetpose.pose_server.pose_graph.links import Link
+from fleetpose.pose_server.pose_graph.types import GRAVE_ODOMETRY
 
 Floats = npt.NDArray[np.floating]
 Structures = tuple[Floats, Floats]

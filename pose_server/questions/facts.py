@@ -6,19 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.frontend.frames import sigma_by_grave
-from pose_server.geometry.se3 import inverse, rotation_angle
-from pose_server.questions import overlap_prior
-from pose_server.questions.overlap_prior import Look, Try
-from pose_server.questions.ranking import PairFacts, rank_questions
-from pose_server.questions.suggestions import with_suggestions
-from pose_server.scheduling.proposals import similarity
-from pose_server.state.pairs import PairRecord, RobotPair, ViewPair
-from pose_server.state.question_feedback import Asked
-from pose_server.state.site import Site
-from protocol.keys import ordered_pair
-from protocol.messages import Question, ViewName
+from fleetpose.pose_server.frontend.frames import sigma_by_grave
+from fleetpose.pose_server.geometry.se3 import inverse, rotation_angle
+from fleetpose.pose_server.questions import overlap_prior
+from fleetpose.pose_server.questions.overlap_prior import Look, Try
+from fleetpose.pose_server.questions.ranking import PairFacts, rank_questions
+from fleetpose.pose_server.questions.suggestions import with_suggestions
+from fleetpose.pose_server.scheduling.proposals import similarity
+from fleetpose.pose_server.state.pairs import PairRecord, RobotPair, ViewPair
+from fleetpose.pose_server.state.question_feedback import Asked
+from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.messages import Question, ViewName
 
 Floats = npt.NDArray[np.floating]
 

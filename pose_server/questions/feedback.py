@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 
 import numpy as np
-
-from pose_server.correspondences.store import Outcome
-from pose_server.questions.ranking import CLICKS_TO_JOIN, Standing, standing
-from pose_server.state.question_feedback import Look, Open
-from pose_server.state.site import Site
-from protocol.keys import ordered_pair
-from protocol.messages import Answer, Selection, ViewName
+from fleetpose.pose_server.correspondences.store import Outcome
+from fleetpose.pose_server.questions.ranking import CLICKS_TO_JOIN, Standing, standing
+from fleetpose.pose_server.state.question_feedback import Look, Open
+from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.messages import Answer, Selection, ViewName
 
 RobotPair = tuple[str, str]
 ViewPair = tuple[ViewName, ViewName]

@@ -16,10 +16,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-
-from pose_server.geometry.se3 import position_covariance
-from pose_server.pose_graph.types import Edge, FleetSolution
-from protocol.messages import Question, ViewName
+from fleetpose.pose_server.geometry.se3 import position_covariance
+from fleetpose.pose_server.pose_graph.types import Edge, FleetSolution
+from fleetpose.protocol.messages import Question, ViewName
 
 CLICKS_TO_JOIN = 3
 _CLICKS_IN_VAIN = 2  # what looking at two images without finding anything costs

@@ -2,12 +2,11 @@
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.registration.suggested_points import apart_in_both
-from pose_server.state.pairs import ViewPair
-from pose_server.state.site import Site
-from pose_server.state.views import likely_matches, stands_still
-from protocol.messages import Question, Suggestion, ViewName
+from fleetpose.pose_server.registration.suggested_points import apart_in_both
+from fleetpose.pose_server.state.pairs import ViewPair
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import likely_matches, stands_still
+from fleetpose.protocol.messages import Question, Suggestion, ViewName
 
 Floats = npt.NDArray[np.floating]
 

@@ -10,12 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.icp import Method
-from pose_server.registration.diagnostics import with_byproducts, with_suggestions
-from pose_server.registration.pair import RATIO, WIDE_RATIO, Pair
-from pose_server.registration.prepared_view import PreparedView
-from pose_server.registration.refinement import (
+from fleetpose.pose_server.geometry.icp import Method
+from fleetpose.pose_server.registration.diagnostics import with_byproducts, with_suggestions
+from fleetpose.pose_server.registration.pair import RATIO, WIDE_RATIO, Pair
+from fleetpose.pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.registration.refinement import (
     Candidate,
     Start,
     best_of,
@@ -26,8 +25,8 @@ from pose_server.registration.refinement import (
     with_icp,
     with_surfaces,
 )
-from pose_server.registration.surfaces import align_surfaces
-from pose_server.registration.verdict.evaluate import PairResult, contested, judged
+from fleetpose.pose_server.registration.surfaces import align_surfaces
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult, contested, judged
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]

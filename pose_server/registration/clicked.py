@@ -13,10 +13,9 @@ from itertools import permutations
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.consensus import OUTLIER_CHI2
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.registration.operator_starts import (
+from fleetpose.pose_server.geometry.consensus import OUTLIER_CHI2
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.registration.operator_starts import (
     BY_CLICKS,
     FULL_POSE,
     OPERATOR,
@@ -26,12 +25,12 @@ from pose_server.registration.operator_starts import (
     operator_starts,
     starts_from_clicks,
 )
-from pose_server.registration.pair import RATIO, Pair
-from pose_server.registration.prepared_view import PreparedView
-from pose_server.registration.refinement import from_start
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.registration.verdict.hearing import Heard, Hearing, hear
-from pose_server.registration.verdict.unique import on_unique_structure
+from fleetpose.pose_server.registration.pair import RATIO, Pair
+from fleetpose.pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.registration.refinement import from_start
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.registration.verdict.hearing import Heard, Hearing, hear
+from fleetpose.pose_server.registration.verdict.unique import on_unique_structure
 
 Floats = npt.NDArray[np.floating]
 Bools = npt.NDArray[np.bool_]

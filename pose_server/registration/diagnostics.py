@@ -7,18 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.calibration.depth_comparison import DepthErrors, compare_depths
-from pose_server.calibration.depth_shift import DepthShift, depth_shift
-from pose_server.frontend.moving_points import moving_masks
-from pose_server.geometry.se3 import inverse, transform
-from pose_server.registration.pair import Pair
-from pose_server.registration.prepared_view import PreparedView
-from pose_server.registration.suggested_points import suggested
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.registration.verdict.fitted_model import MODEL
-from pose_server.registration.verdict.grave_probability import contrast
-from pose_server.registration.verdict.mirrored import REASON, is_mirrored
+from fleetpose.pose_server.calibration.depth_comparison import DepthErrors, compare_depths
+from fleetpose.pose_server.calibration.depth_shift import DepthShift, depth_shift
+from fleetpose.pose_server.frontend.moving_points import moving_masks
+from fleetpose.pose_server.geometry.se3 import inverse, transform
+from fleetpose.pose_server.registration.pair import Pair
+from fleetpose.pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.registration.suggested_points import suggested
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.registration.verdict.fitted_model import MODEL
+from fleetpose.pose_server.registration.verdict.grave_probability import contrast
+from fleetpose.pose_server.registration.verdict.mirrored import REASON, is_mirrored
 
 _LACKING = -1.0  # sigmas: what explains less than most right poses may be a mirror image
 _FAR = 0.5  # median depth over depth

@@ -10,21 +10,20 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry import dlt
-from pose_server.geometry.consensus import OUTLIER_CHI2, Consensus, consistent_sets
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.features.observed import Observed
-from pose_server.geometry.features.refine import NoiseScale, Refinement, refine
-from pose_server.geometry.gravity import Gravity, pose_by_gravity
-from pose_server.geometry.lift import CLICK_SIGMA_PX
-from pose_server.geometry.noise import covariances
-from pose_server.geometry.point_pairs import PointPairs
-from pose_server.geometry.se3 import position_covariance
-from pose_server.geometry.spread import check_points, dimension
-from pose_server.registration.prepared_view import PreparedView
-from pose_server.registration.refinement import Start
-from pose_server.registration.verdict.hearing import ByClicks
+from fleetpose.pose_server.geometry import dlt
+from fleetpose.pose_server.geometry.consensus import OUTLIER_CHI2, Consensus, consistent_sets
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.features.observed import Observed
+from fleetpose.pose_server.geometry.features.refine import NoiseScale, Refinement, refine
+from fleetpose.pose_server.geometry.gravity import Gravity, pose_by_gravity
+from fleetpose.pose_server.geometry.lift import CLICK_SIGMA_PX
+from fleetpose.pose_server.geometry.noise import covariances
+from fleetpose.pose_server.geometry.point_pairs import PointPairs
+from fleetpose.pose_server.geometry.se3 import position_covariance
+from fleetpose.pose_server.geometry.spread import check_points, dimension
+from fleetpose.pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.registration.refinement import Start
+from fleetpose.pose_server.registration.verdict.hearing import ByClicks
 
 Floats = npt.NDArray[np.floating]
 

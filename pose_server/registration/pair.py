@@ -5,19 +5,18 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.features.free_space import Agreement, agreement
-from pose_server.geometry.features.matching import (
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.features.free_space import Agreement, agreement
+from fleetpose.pose_server.geometry.features.matching import (
     NO_MATCHES,
     guided_matches,
     one_to_one,
     ratio_matches,
     union,
 )
-from pose_server.geometry.features.refine import NoiseScale, Refinement, refine
-from pose_server.geometry.se3 import inverse, rotation_angle
-from pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.geometry.features.refine import NoiseScale, Refinement, refine
+from fleetpose.pose_server.geometry.se3 import inverse, rotation_angle
+from fleetpose.pose_server.registration.prepared_view import PreparedView
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.icp import (
+from fleetpose.pose_server.geometry.icp import (
     DenseCloud,
     Method,
     SurfaceFit,
@@ -17,8 +16,8 @@ from pose_server.geometry.icp import (
     point_to_point,
     residual,
 )
-from pose_server.registration.pair import Pair
-from pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.registration.pair import Pair
+from fleetpose.pose_server.registration.prepared_view import PreparedView
 
 Floats = npt.NDArray[np.floating]
 

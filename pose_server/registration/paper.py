@@ -13,17 +13,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry import dlt
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.icp import has_open3d
-from pose_server.registration.operator_starts import FULL_POSE, Clicks, point_pairs
-from pose_server.registration.pair import RATIO, Pair
-from pose_server.registration.pair_icp import Registered, registered
-from pose_server.registration.prepared_view import PreparedView
-from pose_server.registration.refinement import Start
-from pose_server.registration.verdict.evaluate import PairResult, regression_error
-from pose_server.registration.verdict.hearing import ByClicks, Hearing
+from fleetpose.pose_server.geometry import dlt
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.icp import has_open3d
+from fleetpose.pose_server.registration.operator_starts import FULL_POSE, Clicks, point_pairs
+from fleetpose.pose_server.registration.pair import RATIO, Pair
+from fleetpose.pose_server.registration.pair_icp import Registered, registered
+from fleetpose.pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.registration.refinement import Start
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult, regression_error
+from fleetpose.pose_server.registration.verdict.hearing import ByClicks, Hearing
 
 Floats = npt.NDArray[np.floating]
 

@@ -8,16 +8,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from fleetpose.pose_server.geometry.features.free_space import Surface
+from fleetpose.pose_server.geometry.features.observed import Observed
+from fleetpose.pose_server.geometry.features.shapes import Shapes, shapes_of
+from fleetpose.pose_server.geometry.icp import DenseCloud, dense_cloud
+from fleetpose.pose_server.geometry.noise import PointNoise
+from fleetpose.protocol.clouds import decode_salient, points_of, strongest
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.messages import NoiseModel, Salient, View, ViewName
 from scipy.spatial import cKDTree
-
-from pose_server.geometry.features.free_space import Surface
-from pose_server.geometry.features.observed import Observed
-from pose_server.geometry.features.shapes import Shapes, shapes_of
-from pose_server.geometry.icp import DenseCloud, dense_cloud
-from pose_server.geometry.noise import PointNoise
-from protocol.clouds import decode_salient, points_of, strongest
-from protocol.errors import CodecError
-from protocol.messages import NoiseModel, Salient, View, ViewName
 
 Floats = npt.NDArray[np.floating]
 

@@ -6,17 +6,16 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry import robust
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.features.matching import NO_MATCHES, ratio_matches, union
-from pose_server.geometry.features.refine import NoiseScale, Refinement
-from pose_server.geometry.features.triangles import poses_by_triangles
-from pose_server.geometry.icp import Method, gicp
-from pose_server.geometry.se3 import rotation_angle, transform, weighted_mean
-from pose_server.registration.pair import Pair
-from pose_server.registration.pair_icp import IcpReport, registered
-from pose_server.registration.verdict.evaluate import COVARIANCE_INFLATION
+from fleetpose.pose_server.geometry import robust
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.features.matching import NO_MATCHES, ratio_matches, union
+from fleetpose.pose_server.geometry.features.refine import NoiseScale, Refinement
+from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles
+from fleetpose.pose_server.geometry.icp import Method, gicp
+from fleetpose.pose_server.geometry.se3 import rotation_angle, transform, weighted_mean
+from fleetpose.pose_server.registration.pair import Pair
+from fleetpose.pose_server.registration.pair_icp import IcpReport, registered
+from fleetpose.pose_server.registration.verdict.evaluate import COVARIANCE_INFLATION
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]

@@ -2,10 +2,9 @@
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.features.refine import NoiseScale
-from pose_server.registration.pair import Pair
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.features.refine import NoiseScale
+from fleetpose.pose_server.registration.pair import Pair
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]

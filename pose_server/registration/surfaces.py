@@ -11,19 +11,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry import robust
-from pose_server.geometry.features.matching import ratio_matches
-from pose_server.geometry.features.triangles import poses_by_triangles
-from pose_server.geometry.icp import Method, SurfaceFit, by_open3d, gicp, residual
-from pose_server.geometry.se3 import position_covariance
-from pose_server.registration.pair import GRAVE_POSITION, GRAVE_ROTATION_RAD, Pair
-from pose_server.registration.pair_icp import IcpReport
-from pose_server.registration.refinement import Start
-from pose_server.registration.verdict.evaluate import PairResult, calibrated, regression_error
-from pose_server.registration.verdict.evidence import SurfaceEvidence
-from pose_server.registration.verdict.grave_probability import REJECTED_P_GRAVE, VERIFIED_P_GRAVE
-from pose_server.registration.verdict.words import Verdict
+from fleetpose.pose_server.geometry import robust
+from fleetpose.pose_server.geometry.features.matching import ratio_matches
+from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles
+from fleetpose.pose_server.geometry.icp import Method, SurfaceFit, by_open3d, gicp, residual
+from fleetpose.pose_server.geometry.se3 import position_covariance
+from fleetpose.pose_server.registration.pair import GRAVE_POSITION, GRAVE_ROTATION_RAD, Pair
+from fleetpose.pose_server.registration.pair_icp import IcpReport
+from fleetpose.pose_server.registration.refinement import Start
+from fleetpose.pose_server.registration.verdict.evaluate import (
+    PairResult,
+    calibrated,
+    regression_error,
+)
+from fleetpose.pose_server.registration.verdict.evidence import SurfaceEvidence
+from fleetpose.pose_server.registration.verdict.grave_probability import (
+    REJECTED_P_GRAVE,
+    VERIFIED_P_GRAVE,
+)
+from fleetpose.pose_server.registration.verdict.words import Verdict
 
 Floats = npt.NDArray[np.floating]
 

@@ -8,11 +8,11 @@ pairs of robots that no verified alignment links are tried, the most alike first
 
 from dataclasses import replace
 
-from pose_server.registration.align import is_settled
-from pose_server.scheduling.proposals import similarity
-from pose_server.state.site import Site
-from pose_server.workers.jobs import Done, Job
-from protocol.messages import ViewName
+from fleetpose.pose_server.registration.align import is_settled
+from fleetpose.pose_server.scheduling.proposals import similarity
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.workers.jobs import Done, Job
+from fleetpose.protocol.messages import ViewName
 
 MOST_SETS = 64  # about 250 kB each
 _MOST_WAITING = 200

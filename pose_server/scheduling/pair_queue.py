@@ -6,7 +6,7 @@ unlikely, and pairs within one component that make it firmer. In each it is the 
 in proportion to its weight.
 """
 
-from pose_server.scheduling.proposals import (
+from fleetpose.pose_server.scheduling.proposals import (
     BEST_OF_ROBOT,
     LEAST_OVERLAP,
     by_poses,
@@ -14,16 +14,16 @@ from pose_server.scheduling.proposals import (
     similarity,
     to_compare,
 )
-from pose_server.scheduling.retries import retries_due
-from pose_server.scheduling.settings import Line
-from pose_server.scheduling.weighted_round_robin import Pick
-from pose_server.scheduling.weights import pair_weight
-from pose_server.state.pair_queue import SHARES, Agenda
-from pose_server.state.pairs import PairRecord
-from pose_server.state.robots import Robot
-from pose_server.state.site import Site
-from protocol.keys import ordered_pair
-from protocol.messages import ViewName
+from fleetpose.pose_server.scheduling.retries import retries_due
+from fleetpose.pose_server.scheduling.settings import Line
+from fleetpose.pose_server.scheduling.weighted_round_robin import Pick
+from fleetpose.pose_server.scheduling.weights import pair_weight
+from fleetpose.pose_server.state.pair_queue import SHARES, Agenda
+from fleetpose.pose_server.state.pairs import PairRecord
+from fleetpose.pose_server.state.robots import Robot
+from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.messages import ViewName
 
 RobotPair = tuple[str, str]
 ViewPair = tuple[ViewName, ViewName]

@@ -10,12 +10,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.se3 import inverse
-from pose_server.state.robots import Robot
-from pose_server.state.site import Site
-from pose_server.state.views import KeptView, likeness
-from protocol.messages import ViewName
+from fleetpose.pose_server.geometry.se3 import inverse
+from fleetpose.pose_server.state.robots import Robot
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import KeptView, likeness
+from fleetpose.protocol.messages import ViewName
 
 Floats = npt.NDArray[np.floating]
 

@@ -6,13 +6,17 @@ they did not see before. A robot that stands and sees what it saw is not asked a
 would be the same.
 """
 
-from pose_server.scheduling.proposals import ENOUGH_EDGES, LEAST_OVERLAP, expected_overlaps
-from pose_server.state.pairs import PairRecord, RobotPair
-from pose_server.state.robots import Robot
-from pose_server.state.site import Site
-from pose_server.state.views import KeptView, likeness, something_moved, stands_still
-from protocol.keys import ordered_pair
-from protocol.messages import ViewName
+from fleetpose.pose_server.scheduling.proposals import (
+    ENOUGH_EDGES,
+    LEAST_OVERLAP,
+    expected_overlaps,
+)
+from fleetpose.pose_server.state.pairs import PairRecord, RobotPair
+from fleetpose.pose_server.state.robots import Robot
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import KeptView, likeness, something_moved, stands_still
+from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.messages import ViewName
 
 _MOST_DOUBLINGS = 20  # of the rest between two tries: months
 

@@ -6,10 +6,10 @@ relative pose that is known, the regression error and the operator's corresponde
 are here.
 """
 
-from pose_server.registration.operator_starts import FULL_POSE
-from pose_server.scheduling.settings import Line
-from pose_server.state.pairs import PairRecord, RobotPair
-from pose_server.state.site import Site
+from fleetpose.pose_server.registration.operator_starts import FULL_POSE
+from fleetpose.pose_server.scheduling.settings import Line
+from fleetpose.pose_server.state.pairs import PairRecord, RobotPair
+from fleetpose.pose_server.state.site import Site
 
 _LEAST_PROMISE = 0.05  # looks deceive: no pair is hopeless
 _WRONG_NEEDS = 3.0  # a pair whose best alignment is not trusted needs more than its share

@@ -3,8 +3,8 @@
 from collections import OrderedDict
 from dataclasses import dataclass, field
 
-from pose_server.workers.jobs import Done
-from protocol.messages import ViewName
+from fleetpose.pose_server.workers.jobs import Done
+from fleetpose.protocol.messages import ViewName
 
 
 @dataclass

@@ -3,9 +3,9 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from pose_server.frontend.tracks import Attached
-from pose_server.state.odometry import Moment
-from protocol.messages import ViewName
+from fleetpose.pose_server.frontend.tracks import Attached
+from fleetpose.pose_server.state.odometry import Moment
+from fleetpose.protocol.messages import ViewName
 
 Kind = Literal["frozen", "still", "lost", "carried"]
 

@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.se3 import adjoint, inverse, log_so3
-from protocol.messages import Odometry, ViewName
+from fleetpose.pose_server.geometry.se3 import adjoint, inverse, log_so3
+from fleetpose.protocol.messages import Odometry, ViewName
 
 Floats = npt.NDArray[np.floating]
 

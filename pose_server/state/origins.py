@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from protocol.messages import ViewName
+from fleetpose.protocol.messages import ViewName
 
 
 @dataclass

@@ -3,10 +3,10 @@
 from collections import deque
 from dataclasses import dataclass, field
 
-from pose_server.scheduling.settings import Line
-from pose_server.scheduling.weighted_round_robin import Turns
-from pose_server.state.pairs import RobotPair, ViewPair
-from protocol.messages import ViewName
+from fleetpose.pose_server.scheduling.settings import Line
+from fleetpose.pose_server.scheduling.weighted_round_robin import Turns
+from fleetpose.pose_server.state.pairs import RobotPair, ViewPair
+from fleetpose.protocol.messages import ViewName
 
 SHARES: dict[Line, float] = {"joining": 8.0, "unlikely": 1.0, "sharpening": 2.0}
 

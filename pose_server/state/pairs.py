@@ -3,9 +3,8 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-
-from pose_server.registration.verdict.evaluate import PairResult
-from protocol.messages import ViewName
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.protocol.messages import ViewName
 
 RobotPair = tuple[str, str]
 

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from pose_server.questions.ranking import CLICKS_TO_JOIN, Standing
-from pose_server.state.pairs import RobotPair, ViewPair
-from protocol.messages import Answer, Question
+from fleetpose.pose_server.questions.ranking import CLICKS_TO_JOIN, Standing
+from fleetpose.pose_server.state.pairs import RobotPair, ViewPair
+from fleetpose.protocol.messages import Answer, Question
 
 Client = tuple[str, str]
 

@@ -4,11 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.frontend.tracks import Track
-from pose_server.pose_graph.types import NodePose
-from pose_server.state.views import KeptView
-from protocol.messages import Camera, PairError, RobotPose, ViewName
+from fleetpose.pose_server.frontend.tracks import Track
+from fleetpose.pose_server.pose_graph.types import NodePose
+from fleetpose.pose_server.state.views import KeptView
+from fleetpose.protocol.messages import Camera, PairError, RobotPose, ViewName
 
 Floats = npt.NDArray[np.floating]
 

@@ -7,31 +7,30 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.calibration.clocks import LEAST_AHEAD_S
-from pose_server.calibration.history import Memory
-from pose_server.correspondences.lifting import Lifter
-from pose_server.correspondences.store import Book
-from pose_server.frontend.frames import upright
-from pose_server.frontend.tracks import Attached
-from pose_server.geometry.icp import Method
-from pose_server.geometry.se3 import compose_covariance, inverse
-from pose_server.pose_graph.types import ClickFactor, Edge, EdgeKey, FleetSolution
-from pose_server.scheduling.settings import Weights
-from pose_server.scheduling.weighted_round_robin import Turns
-from pose_server.state.affine_retries import Widening
-from pose_server.state.doubts import Doubts
-from pose_server.state.odometry import Odometers
-from pose_server.state.origins import Anchoring
-from pose_server.state.pair_queue import Agenda
-from pose_server.state.pairs import PairRecord, RobotPair, ViewPair
-from pose_server.state.question_feedback import Asking
-from pose_server.state.robots import Robot
-from pose_server.state.views import KeptView, ViewStore, same_camera
-from pose_server.workers.jobs import EncodedView, RecipeName
-from protocol.errors import FleetPoseError
-from protocol.keys import ordered_pair
-from protocol.messages import Alarm, PairCell, ViewName
+from fleetpose.pose_server.calibration.clocks import LEAST_AHEAD_S
+from fleetpose.pose_server.calibration.history import Memory
+from fleetpose.pose_server.correspondences.lifting import Lifter
+from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.frontend.frames import upright
+from fleetpose.pose_server.frontend.tracks import Attached
+from fleetpose.pose_server.geometry.icp import Method
+from fleetpose.pose_server.geometry.se3 import compose_covariance, inverse
+from fleetpose.pose_server.pose_graph.types import ClickFactor, Edge, EdgeKey, FleetSolution
+from fleetpose.pose_server.scheduling.settings import Weights
+from fleetpose.pose_server.scheduling.weighted_round_robin import Turns
+from fleetpose.pose_server.state.affine_retries import Widening
+from fleetpose.pose_server.state.doubts import Doubts
+from fleetpose.pose_server.state.odometry import Odometers
+from fleetpose.pose_server.state.origins import Anchoring
+from fleetpose.pose_server.state.pair_queue import Agenda
+from fleetpose.pose_server.state.pairs import PairRecord, RobotPair, ViewPair
+from fleetpose.pose_server.state.question_feedback import Asking
+from fleetpose.pose_server.state.robots import Robot
+from fleetpose.pose_server.state.views import KeptView, ViewStore, same_camera
+from fleetpose.pose_server.workers.jobs import EncodedView, RecipeName
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.messages import Alarm, PairCell, ViewName
 
 Floats = npt.NDArray[np.floating]
 PINNED_S = 60.0  # a client repeats what it holds every few seconds

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.features.matching import ratio_matches
-from pose_server.geometry.features.motion import some_together
-from pose_server.workers.jobs import EncodedView
-from protocol.clouds import decode_salient, points_of, some_points_of
-from protocol.codec import unpack
-from protocol.errors import CodecError
-from protocol.messages import Camera, View, ViewName
+from fleetpose.pose_server.geometry.features.matching import ratio_matches
+from fleetpose.pose_server.geometry.features.motion import some_together
+from fleetpose.pose_server.workers.jobs import EncodedView
+from fleetpose.protocol.clouds import decode_salient, points_of, some_points_of
+from fleetpose.protocol.codec import unpack
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.messages import Camera, View, ViewName
 
 KEEP_S = 60.0
 KEEP_AT_LEAST = 20

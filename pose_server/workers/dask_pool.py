@@ -10,10 +10,10 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from typing import Any
 
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.workers.jobs import Job
-from pose_server.workers.run import run_job, use_one_thread
-from protocol.errors import FleetPoseError, UnreachableError
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.workers.jobs import Job
+from fleetpose.pose_server.workers.run import run_job, use_one_thread
+from fleetpose.protocol.errors import FleetPoseError, UnreachableError
 
 log = logging.getLogger(__name__)
 

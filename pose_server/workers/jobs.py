@@ -3,18 +3,18 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from pose_server.geometry.features.motion import Mask
-from pose_server.geometry.icp import Method
-from pose_server.registration.operator_starts import (
+from fleetpose.pose_server.geometry.features.motion import Mask
+from fleetpose.pose_server.geometry.icp import Method
+from fleetpose.pose_server.registration.operator_starts import (
     Clicks,
     OperatorStart,
     gravity_between,
     operator_starts,
 )
-from pose_server.registration.prepared_view import PreparedView
-from pose_server.registration.refinement import Start
-from pose_server.registration.verdict.evaluate import PairResult
-from protocol.messages import ViewName
+from fleetpose.pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.registration.refinement import Start
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.protocol.messages import ViewName
 
 _FOUND = ("verified", "plausible")
 

@@ -15,9 +15,9 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from typing import Protocol
 
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.workers.jobs import Done, Job
-from pose_server.workers.run import run_job, use_one_thread
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.workers.jobs import Done, Job
+from fleetpose.pose_server.workers.run import run_job, use_one_thread
 
 MAX_TRIES = 2
 NICE = 5  # of workers whose jobs nobody waits for

@@ -5,12 +5,12 @@ be watched side by side.
 from collections.abc import Callable
 from typing import Protocol
 
-from pose_server.registration.align import align_from, align_pair, align_wide, is_settled
-from pose_server.registration.clicked import with_clicks
-from pose_server.registration.paper import align_as_published
-from pose_server.registration.prepared_view import PreparedView
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.workers.jobs import Job, RecipeName
+from fleetpose.pose_server.registration.align import align_from, align_pair, align_wide, is_settled
+from fleetpose.pose_server.registration.clicked import with_clicks
+from fleetpose.pose_server.registration.paper import align_as_published
+from fleetpose.pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.workers.jobs import Job, RecipeName
 
 BothWide = Callable[[], tuple[PreparedView, PreparedView]]
 

@@ -5,16 +5,15 @@ from collections import OrderedDict
 from collections.abc import Callable
 
 import numpy as np
-
-from pose_server.frontend.moving_points import without_moving
-from pose_server.registration.prepared_view import PreparedView, prepare_view
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.workers.jobs import EncodedView, Job
-from pose_server.workers.recipes import RECIPES
-from protocol.codec import unpack
-from protocol.errors import CodecError
-from protocol.messages import View, ViewName
-from protocol.messages.arrays import MAX_DISTANCE_M
+from fleetpose.pose_server.frontend.moving_points import without_moving
+from fleetpose.pose_server.registration.prepared_view import PreparedView, prepare_view
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.workers.jobs import EncodedView, Job
+from fleetpose.pose_server.workers.recipes import RECIPES
+from fleetpose.protocol.codec import unpack
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.messages import View, ViewName
+from fleetpose.protocol.messages.arrays import MAX_DISTANCE_M
 
 TRACK_POINTS = 700  # salient points used to follow a robot through its own views
 _CACHED_VIEWS = 32

@@ -9,17 +9,15 @@ and belong to left perturbations, `exp(xi) T_a_b`.
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
-
-from protocol.messages.alignment import Alignment as Alignment
-from protocol.messages.alignment import IcpFit as IcpFit
-from protocol.messages.alignment import OperatorFit as OperatorFit
-from protocol.messages.arrays import ClickedPixel, Matrix6, Pixel, Pose, Vector3
-from protocol.messages.base import MAX_MESSAGE_BYTES, Message
-from protocol.messages.camera import ROBOT_FROM_CAMERA as ROBOT_FROM_CAMERA
-from protocol.messages.camera import Camera
-from protocol.messages.camera import NoiseModel as NoiseModel
-from protocol.messages.fields import (
+from fleetpose.protocol.messages.alignment import Alignment as Alignment
+from fleetpose.protocol.messages.alignment import IcpFit as IcpFit
+from fleetpose.protocol.messages.alignment import OperatorFit as OperatorFit
+from fleetpose.protocol.messages.arrays import ClickedPixel, Matrix6, Pixel, Pose, Vector3
+from fleetpose.protocol.messages.base import MAX_MESSAGE_BYTES, Message
+from fleetpose.protocol.messages.camera import ROBOT_FROM_CAMERA as ROBOT_FROM_CAMERA
+from fleetpose.protocol.messages.camera import Camera
+from fleetpose.protocol.messages.camera import NoiseModel as NoiseModel
+from fleetpose.protocol.messages.fields import (
     Count,
     Epoch,
     Many,
@@ -31,13 +29,14 @@ from protocol.messages.fields import (
     Stamp,
     Text,
 )
-from protocol.messages.fields import Verdict as Verdict
-from protocol.messages.questions import Answer as Answer
-from protocol.messages.questions import Question as Question
-from protocol.messages.questions import Suggestion as Suggestion
-from protocol.messages.replies import RelativePose as RelativePose
-from protocol.messages.replies import WhyNot as WhyNot
-from protocol.messages.view_name import ViewName as ViewName
+from fleetpose.protocol.messages.fields import Verdict as Verdict
+from fleetpose.protocol.messages.questions import Answer as Answer
+from fleetpose.protocol.messages.questions import Question as Question
+from fleetpose.protocol.messages.questions import Suggestion as Suggestion
+from fleetpose.protocol.messages.replies import RelativePose as RelativePose
+from fleetpose.protocol.messages.replies import WhyNot as WhyNot
+from fleetpose.protocol.messages.view_name import ViewName as ViewName
+from pydantic import Field, model_validator
 
 
 class CameraAnnouncement(Message, frozen=True, schema="fleet.camera_announcement.v1"):

@@ -2,11 +2,9 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
-
-from protocol.messages.arrays import Matrix6, Pose
-from protocol.messages.base import Message
-from protocol.messages.fields import (
+from fleetpose.protocol.messages.arrays import Matrix6, Pose
+from fleetpose.protocol.messages.base import Message
+from fleetpose.protocol.messages.fields import (
     Count,
     Epoch,
     Many,
@@ -16,7 +14,8 @@ from protocol.messages.fields import (
     Text,
     Verdict,
 )
-from protocol.messages.view_name import ViewName
+from fleetpose.protocol.messages.view_name import ViewName
+from pydantic import Field
 
 
 class OperatorFit(Message, frozen=True, schema="fleet.operator_fit.v1"):

@@ -3,11 +3,10 @@
 from typing import Annotated
 
 import numpy as np
+from fleetpose.protocol.messages.arrays import Matrix3, Pose
+from fleetpose.protocol.messages.base import Message
+from fleetpose.protocol.messages.fields import Name, Positive
 from pydantic import Field, model_validator
-
-from protocol.messages.arrays import Matrix3, Pose
-from protocol.messages.base import Message
-from protocol.messages.fields import Name, Positive
 
 Sigma = Annotated[float, Field(ge=0, le=1e3)]
 

@@ -2,10 +2,9 @@
 
 from typing import Annotated, Any, Literal, TypeVar
 
+from fleetpose.protocol.keys import NAME_PATTERN
+from fleetpose.protocol.text import one_line
 from pydantic import BeforeValidator, FailFast, Field
-
-from protocol.keys import NAME_PATTERN
-from protocol.text import one_line
 
 EPOCH_PATTERN = r"^[0-9a-f]{12}$"
 

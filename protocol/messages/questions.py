@@ -2,12 +2,11 @@
 
 from typing import Annotated
 
+from fleetpose.protocol.messages.arrays import Pixel
+from fleetpose.protocol.messages.base import Message
+from fleetpose.protocol.messages.fields import Count, Many, Name, NonNegative, Text
+from fleetpose.protocol.messages.view_name import ViewName
 from pydantic import Field
-
-from protocol.messages.arrays import Pixel
-from protocol.messages.base import Message
-from protocol.messages.fields import Count, Many, Name, NonNegative, Text
-from protocol.messages.view_name import ViewName
 
 
 class Suggestion(Message, frozen=True, schema="fleet.suggestion.v1"):

@@ -1,10 +1,9 @@
 """Replies of the server: where one robot is, seen from another, and why one is not located."""
 
+from fleetpose.protocol.messages.arrays import Matrix6, Pose
+from fleetpose.protocol.messages.base import Message
+from fleetpose.protocol.messages.fields import Many, Name, NonNegative, Probability, Text, Verdict
 from pydantic import Field
-
-from protocol.messages.arrays import Matrix6, Pose
-from protocol.messages.base import Message
-from protocol.messages.fields import Many, Name, NonNegative, Probability, Text, Verdict
 
 
 class RelativePose(

@@ -1,7 +1,7 @@
 """How a view is named."""
 
-from protocol.messages.base import Message
-from protocol.messages.fields import Count, Epoch, Name
+from fleetpose.protocol.messages.base import Message
+from fleetpose.protocol.messages.fields import Count, Epoch, Name
 
 
 class ViewName(Message, frozen=True, schema="fleet.view_name.v1"):

@@ -6,9 +6,8 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-
-from protocol.errors import FleetPoseError
-from protocol.messages import Camera as CameraModel
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.messages import Camera as CameraModel
 
 
 class CameraError(FleetPoseError):

@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
-from robot_agent.cameras.base import Camera
+from fleetpose.robot_agent.cameras.base import Camera
 
 CameraKind = Literal["rgbd", "views", "reconstruction", "bundler", "cloud", "stereo", "synthetic"]
 _OPTIONS = {
@@ -61,6 +61,6 @@ def open_camera(
         "stop": stop,
     }
     name = "reconstruction" if kind == "bundler" else kind
-    module = import_module(f"robot_agent.cameras.{name}")
+    module = import_module(f"fleetpose.robot_agent.cameras.{name}")
     options = {option: given[option] for option in _OPTIONS.get(name, ())}
     return module.open_camera(source, replay, **options)

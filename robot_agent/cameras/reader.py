@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-
-from robot_agent.cameras.stereo.video import Instant, Player
+from fleetpose.robot_agent.cameras.stereo.video import Instant, Player
 
 CLOSE_TIMEOUT_S = 1.0
 _KEPT = 8  # images of one request; more come only if the other eye is far behind

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Literal, get_args
 
-from protocol.errors import DataFolderError
+from fleetpose.protocol.errors import DataFolderError
 
 ReplayMode = Literal["once", "loop", "pingpong", "hold"]
 

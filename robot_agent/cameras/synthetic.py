@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-
-from protocol.errors import FleetPoseError, UnreachableError
-from protocol.messages import ROBOT_FROM_CAMERA
-from robot_agent.cameras.base import Frame
-from robot_agent.cameras.stereo.matching import StereoMatcher
-from robot_agent.cameras.stereo.rig import rig_of
+from fleetpose.protocol.errors import FleetPoseError, UnreachableError
+from fleetpose.protocol.messages import ROBOT_FROM_CAMERA
+from fleetpose.robot_agent.cameras.base import Frame
+from fleetpose.robot_agent.cameras.stereo.matching import StereoMatcher
+from fleetpose.robot_agent.cameras.stereo.rig import rig_of
 
 CAMERA_HEIGHT_M = 1.2
 CAMERA_TILT_DEG = 5.0

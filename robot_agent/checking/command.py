@@ -9,13 +9,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-
-from robot_agent.cameras.stereo.matching import calibrated
-from robot_agent.cameras.stereo.pairs import ImagePair, PairSource, open_pairs
-from robot_agent.cameras.stereo.rig import StereoRig
-from robot_agent.cameras.stereo.video import VideoSettings
-from robot_agent.checking.report import KnownLength, Report, check_rig, picture_of
-from robot_agent.checking.scale import CheckError
+from fleetpose.robot_agent.cameras.stereo.matching import calibrated
+from fleetpose.robot_agent.cameras.stereo.pairs import ImagePair, PairSource, open_pairs
+from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
+from fleetpose.robot_agent.cameras.stereo.video import VideoSettings
+from fleetpose.robot_agent.checking.report import KnownLength, Report, check_rig, picture_of
+from fleetpose.robot_agent.checking.scale import CheckError
 
 
 @dataclass(frozen=True)

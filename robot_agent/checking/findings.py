@@ -10,10 +10,9 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-
-from robot_agent.cameras.stereo.matching import DISPARITY_SIGMA_PX, PIXEL_SIGMA_PX
-from robot_agent.cameras.stereo.rectify import Rectifier
-from robot_agent.checking.fit import (
+from fleetpose.robot_agent.cameras.stereo.matching import DISPARITY_SIGMA_PX, PIXEL_SIGMA_PX
+from fleetpose.robot_agent.cameras.stereo.rectify import Rectifier
+from fleetpose.robot_agent.checking.fit import (
     COLUMNS,
     ROWS,
     Fit,
@@ -23,7 +22,7 @@ from robot_agent.checking.fit import (
     rays_of,
     row_errors,
 )
-from robot_agent.checking.matching import Matches
+from fleetpose.robot_agent.checking.matching import Matches
 
 Floats = npt.NDArray[np.float64]
 State = Literal["fits", "off", "unclear"]

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from robot_agent.cameras.stereo.pairs import ImagePair
-from robot_agent.cameras.stereo.rectify import Rectifier
-from robot_agent.features.keypoints import detect
+from fleetpose.robot_agent.cameras.stereo.pairs import ImagePair
+from fleetpose.robot_agent.cameras.stereo.rectify import Rectifier
+from fleetpose.robot_agent.features.keypoints import detect
 
 Floats = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]

@@ -6,14 +6,20 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from robot_agent.cameras.stereo.matching import StereoMatcher
-from robot_agent.cameras.stereo.pairs import ImagePair
-from robot_agent.cameras.stereo.rig import StereoRig
-from robot_agent.checking.findings import Finding, Part, explained, judged, parts_of, rig_findings
-from robot_agent.checking.fit import Fit, fit_rig, pose_of
-from robot_agent.checking.matching import match_pairs, rectified
-from robot_agent.checking.scale import CheckError, Length, board_length, points_length
+from fleetpose.robot_agent.cameras.stereo.matching import StereoMatcher
+from fleetpose.robot_agent.cameras.stereo.pairs import ImagePair
+from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
+from fleetpose.robot_agent.checking.findings import (
+    Finding,
+    Part,
+    explained,
+    judged,
+    parts_of,
+    rig_findings,
+)
+from fleetpose.robot_agent.checking.fit import Fit, fit_rig, pose_of
+from fleetpose.robot_agent.checking.matching import match_pairs, rectified
+from fleetpose.robot_agent.checking.scale import CheckError, Length, board_length, points_length
 
 Floats = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]

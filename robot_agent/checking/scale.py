@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from protocol.errors import FleetPoseError
-from robot_agent.cameras.base import DisparityImage
-from robot_agent.cameras.stereo.matching import StereoMatcher
-from robot_agent.cameras.stereo.rectify import Rectifier
-from robot_agent.features.inverse_depth import lift_points
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.robot_agent.cameras.base import DisparityImage
+from fleetpose.robot_agent.cameras.stereo.matching import StereoMatcher
+from fleetpose.robot_agent.cameras.stereo.rectify import Rectifier
+from fleetpose.robot_agent.features.inverse_depth import lift_points
 
 Floats = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]

@@ -9,13 +9,18 @@ where the usual set has not settled a pair.
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from protocol.clouds import SalientPoints, encode_salient
-from protocol.errors import CodecError
-from protocol.messages import Camera, KeptView, View
-from robot_agent.cameras.base import Ranges
-from robot_agent.features.keypoints import EXTRACTOR, Keypoints, detect, grey_of, lifted_points
-from robot_agent.features.packing import ranges_of
+from fleetpose.protocol.clouds import SalientPoints, encode_salient
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.messages import Camera, KeptView, View
+from fleetpose.robot_agent.cameras.base import Ranges
+from fleetpose.robot_agent.features.keypoints import (
+    EXTRACTOR,
+    Keypoints,
+    detect,
+    grey_of,
+    lifted_points,
+)
+from fleetpose.robot_agent.features.packing import ranges_of
 
 Floats = npt.NDArray[np.float64]
 

@@ -5,9 +5,8 @@ matched by it.
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from protocol.messages import Camera
-from robot_agent.cameras.base import DepthImage, DisparityImage, Ranges
+from fleetpose.protocol.messages import Camera
+from fleetpose.robot_agent.cameras.base import DepthImage, DisparityImage, Ranges
 
 Floats = npt.NDArray[np.floating]
 

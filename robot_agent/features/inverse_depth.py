@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from protocol.messages import Camera
-from robot_agent.cameras.base import DepthImage, DisparityImage, Ranges, ScatteredPoints
+from fleetpose.protocol.messages import Camera
+from fleetpose.robot_agent.cameras.base import DepthImage, DisparityImage, Ranges, ScatteredPoints
 
 Floats = npt.NDArray[np.float64]
 

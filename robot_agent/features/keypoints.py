@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from protocol.clouds import SalientPoints
-from protocol.messages import Camera
-from robot_agent.cameras.base import Frame, Ranges
-from robot_agent.features.inverse_depth import lift_points
+from fleetpose.protocol.clouds import SalientPoints
+from fleetpose.protocol.messages import Camera
+from fleetpose.robot_agent.cameras.base import Frame, Ranges
+from fleetpose.robot_agent.features.inverse_depth import lift_points
 
 EXTRACTOR = "rootsift"
 ROOTSIFT_SCALE = 512

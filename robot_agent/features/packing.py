@@ -1,8 +1,7 @@
 """A frame and its salient points as the message that goes on the wire."""
 
 import numpy as np
-
-from protocol.clouds import (
+from fleetpose.protocol.clouds import (
     SalientPoints,
     decode_depth,
     decode_scattered,
@@ -11,9 +10,15 @@ from protocol.clouds import (
     encode_salient,
     encode_scattered,
 )
-from protocol.messages import Camera, DepthCloud, ScatteredCloud, View, ViewName
-from robot_agent.cameras.base import DepthImage, DisparityImage, Frame, Ranges, ScatteredPoints
-from robot_agent.features.keypoints import EXTRACTOR
+from fleetpose.protocol.messages import Camera, DepthCloud, ScatteredCloud, View, ViewName
+from fleetpose.robot_agent.cameras.base import (
+    DepthImage,
+    DisparityImage,
+    Frame,
+    Ranges,
+    ScatteredPoints,
+)
+from fleetpose.robot_agent.features.keypoints import EXTRACTOR
 
 SCATTERED_STEP_SIGMAS = 0.1
 """Steps of scattered depths, in median sigmas: rounding then adds 0.04 % to the noise."""

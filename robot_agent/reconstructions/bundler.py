@@ -7,12 +7,11 @@ p = -P / P.z, p' = f (1 + k1 |p|^2 + k2 |p|^4) p. A camera of focal length 0 was
 from pathlib import Path
 
 import numpy as np
-
-from protocol.errors import DataFolderError
-from robot_agent.reconstructions.model import Floats, Indices, Reconstruction
-from robot_agent.reconstructions.photos import Photo, reconstruction_of
-from robot_agent.reconstructions.text import lines_of, numbers_of
-from robot_agent.reconstructions.tracks import read_points
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.reconstructions.model import Floats, Indices, Reconstruction
+from fleetpose.robot_agent.reconstructions.photos import Photo, reconstruction_of
+from fleetpose.robot_agent.reconstructions.text import lines_of, numbers_of
+from fleetpose.robot_agent.reconstructions.tracks import read_points
 
 BUNDLE, LIST = "bundle.out", "list.txt"
 _MAGIC = "# Bundle file"

@@ -5,12 +5,15 @@ as its manual describes them.
 from pathlib import Path
 
 import numpy as np
-
-from protocol.errors import DataFolderError
-from robot_agent.reconstructions import colmap_binary, colmap_text
-from robot_agent.reconstructions.colmap_records import CAMERA_MODELS, ColmapCamera, ColmapImage
-from robot_agent.reconstructions.model import Floats, Indices, Reconstruction
-from robot_agent.reconstructions.photos import Photo, pose_of, reconstruction_of
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.reconstructions import colmap_binary, colmap_text
+from fleetpose.robot_agent.reconstructions.colmap_records import (
+    CAMERA_MODELS,
+    ColmapCamera,
+    ColmapImage,
+)
+from fleetpose.robot_agent.reconstructions.model import Floats, Indices, Reconstruction
+from fleetpose.robot_agent.reconstructions.photos import Photo, pose_of, reconstruction_of
 
 _FILES = ("cameras.bin", "cameras.txt")  # in the order in which COLMAP looks
 _MODEL_FOLDERS = ("", "sparse/0", "sparse", "dense/sparse")

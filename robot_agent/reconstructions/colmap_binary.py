@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-
-from protocol.errors import DataFolderError
-from robot_agent.reconstructions.colmap_records import (
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.reconstructions.colmap_records import (
     CAMERA_MODELS,
     ColmapCamera,
     ColmapImage,

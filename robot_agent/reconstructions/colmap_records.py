@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from protocol.errors import DataFolderError
-from robot_agent.reconstructions.model import Floats, Indices
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.reconstructions.model import Floats, Indices
 
 CAMERA_MODELS = {
     "SIMPLE_PINHOLE": (1, 0),

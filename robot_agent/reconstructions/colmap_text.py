@@ -9,15 +9,14 @@ import re
 from pathlib import Path
 
 import numpy as np
-
-from protocol.errors import DataFolderError
-from robot_agent.reconstructions.colmap_records import (
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.reconstructions.colmap_records import (
     ColmapCamera,
     ColmapImage,
     ColmapPoints,
     check_model,
 )
-from robot_agent.reconstructions.text import lines_of, numbers_of
+from fleetpose.robot_agent.reconstructions.text import lines_of, numbers_of
 
 _COUNT = re.compile(r"# Number of \w+: (\d{1,18})\b")  # a remark that COLMAP itself writes
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from protocol.errors import DataFolderError
+from fleetpose.protocol.errors import DataFolderError
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]

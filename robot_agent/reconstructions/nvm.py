@@ -9,12 +9,11 @@ from math import comb
 from pathlib import Path
 
 import numpy as np
-
-from protocol.errors import DataFolderError
-from robot_agent.reconstructions.model import Floats, Indices, Reconstruction
-from robot_agent.reconstructions.photos import Photo, pose_of, reconstruction_of
-from robot_agent.reconstructions.text import lines_of, numbers_of
-from robot_agent.reconstructions.tracks import read_points
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.reconstructions.model import Floats, Indices, Reconstruction
+from fleetpose.robot_agent.reconstructions.photos import Photo, pose_of, reconstruction_of
+from fleetpose.robot_agent.reconstructions.text import lines_of, numbers_of
+from fleetpose.robot_agent.reconstructions.tracks import read_points
 
 _MAGIC, _FIXED = "NVM_V3", "FixedK"
 _CAMERA_NUMBERS = 10  # focal length, rotation (w, x, y, z), centre, distortion, 0

@@ -6,9 +6,8 @@ from pathlib import Path, PureWindowsPath
 
 import cv2
 import numpy as np
-
-from protocol.errors import DataFolderError
-from robot_agent.reconstructions.model import (
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.reconstructions.model import (
     Floats,
     Indices,
     ReconstructedView,

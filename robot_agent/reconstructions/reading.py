@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from protocol.errors import DataFolderError
-from robot_agent.reconstructions.bundler import find_bundler, read_bundler
-from robot_agent.reconstructions.colmap import find_colmap, read_colmap
-from robot_agent.reconstructions.model import Reconstruction
-from robot_agent.reconstructions.nvm import find_nvm, read_nvm
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.reconstructions.bundler import find_bundler, read_bundler
+from fleetpose.robot_agent.reconstructions.colmap import find_colmap, read_colmap
+from fleetpose.robot_agent.reconstructions.model import Reconstruction
+from fleetpose.robot_agent.reconstructions.nvm import find_nvm, read_nvm
 
 _READERS = ((find_colmap, read_colmap), (find_bundler, read_bundler), (find_nvm, read_nvm))
 

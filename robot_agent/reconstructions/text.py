@@ -3,9 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-
-from protocol.errors import DataFolderError
-from robot_agent.reconstructions.model import Floats
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.reconstructions.model import Floats
 
 
 def lines_of(path: Path) -> list[str]:

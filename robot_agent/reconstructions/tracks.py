@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-
-from protocol.errors import DataFolderError
-from robot_agent.reconstructions.model import Floats, Indices
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.reconstructions.model import Floats, Indices
 
 _POINT, _VIEW = 7, 4  # numbers of each
 

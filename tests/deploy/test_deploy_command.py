@@ -4,9 +4,8 @@ import subprocess
 import sys
 
 import pytest
-
-from deploy.__main__ import robot_source
-from protocol.errors import NameRefusedError
+from fleetpose.deploy.__main__ import robot_source
+from fleetpose.protocol.errors import NameRefusedError
 
 
 def test_a_robot_is_told_by_name_camera_and_data():
@@ -24,7 +23,7 @@ def test_another_form_is_refused(text):
 
 def test_a_wrong_robot_ends_with_one_sentence_and_code_2():
     done = subprocess.run(
-        [sys.executable, "-P", "-m", "deploy", "local", "--robots", "r1"],
+        [sys.executable, "-P", "-m", "fleetpose.deploy", "local", "--robots", "r1"],
         capture_output=True,
         text=True,
         timeout=60,

@@ -7,9 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from deploy.local_fleet import LocalFleet, ProcessEndedError, wait_running
-from protocol.transport import wait_until
+from fleetpose.deploy.local_fleet import LocalFleet, ProcessEndedError, wait_running
+from fleetpose.protocol.transport import wait_until
 
 SERVE_FOREVER = ("http.server", "0", "--bind", "127.0.0.1")
 WITH_STUBBORN_CHILD = """
@@ -23,7 +22,7 @@ PARENT = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job starts with it ignored
 from pathlib import Path
-from deploy.local_fleet import LocalFleet
+from fleetpose.deploy.local_fleet import LocalFleet
 with LocalFleet(Path(sys.argv[1])) as fleet:
     print(fleet.start("a", "http.server", "0", "--bind", "127.0.0.1"), flush=True)
     while True:
@@ -88,7 +87,7 @@ sys.stdout.write('{"n": ')
 
 
 def test_children_that_ignore_sigterm_and_their_children_are_killed(tmp_path, module, monkeypatch):
-    monkeypatch.setattr("deploy.local_fleet.GRACE_S", 0.5)
+    monkeypatch.setattr("fleetpose.deploy.local_fleet.GRACE_S", 0.5)
     with LocalFleet(tmp_path / "logs") as fleet:
         fleet.start("stubborn", module("stubborn", WITH_STUBBORN_CHILD))
         assert wait_until(lambda: fleet.tail("stubborn").startswith("child"), 10)

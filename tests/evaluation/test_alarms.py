@@ -6,27 +6,26 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-
-from evaluation.simulate.world.materials.facades import poster
-from evaluation.simulate.world.render import Quad, Renderer
-from evaluation.simulate.world.ring import RingWorld
-from evaluation.simulate.world.robots import HEIGHT, WIDTH
-from pose_server.calibration import monitor
-from pose_server.correspondences.records import BookState
-from pose_server.correspondences.store import Book
-from pose_server.frontend.tracks import Attached
-from pose_server.registration.align import align_pair
-from pose_server.registration.prepared_view import PreparedView, prepare_view
-from pose_server.state.site import Site
-from pose_server.state.views import KeptView, open_view, something_moved, stands_still
-from pose_server.workers.jobs import Done, EncodedView, Job
-from protocol.codec import pack
-from protocol.messages import View, ViewName
-from robot_agent.cameras.stereo.matching import StereoMatcher
-from robot_agent.cameras.stereo.rig import StereoRig
-from robot_agent.cameras.synthetic import mount
-from robot_agent.features.keypoints import salient_points
-from robot_agent.features.packing import view_of
+from fleetpose.evaluation.simulate.world.materials.facades import poster
+from fleetpose.evaluation.simulate.world.render import Quad, Renderer
+from fleetpose.evaluation.simulate.world.ring import RingWorld
+from fleetpose.evaluation.simulate.world.robots import HEIGHT, WIDTH
+from fleetpose.pose_server.calibration import monitor
+from fleetpose.pose_server.correspondences.records import BookState
+from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.frontend.tracks import Attached
+from fleetpose.pose_server.registration.align import align_pair
+from fleetpose.pose_server.registration.prepared_view import PreparedView, prepare_view
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import KeptView, open_view, something_moved, stands_still
+from fleetpose.pose_server.workers.jobs import Done, EncodedView, Job
+from fleetpose.protocol.codec import pack
+from fleetpose.protocol.messages import View, ViewName
+from fleetpose.robot_agent.cameras.stereo.matching import StereoMatcher
+from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
+from fleetpose.robot_agent.cameras.synthetic import mount
+from fleetpose.robot_agent.features.keypoints import salient_points
+from fleetpose.robot_agent.features.packing import view_of
 
 ROBOTS, WRONG = 4, "r3"
 

@@ -5,13 +5,17 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from fleetpose.evaluation.bench.clicks.command import ClicksOptions
+from fleetpose.evaluation.bench.clicks.deceived import Deceived, run, summarize
+from fleetpose.evaluation.bench.clicks.deceptive import (
+    corners_in_order,
+    in_other_orders,
+    one_step_along,
+)
+from fleetpose.evaluation.bench.clicks.truth import true_pixels
+from fleetpose.evaluation.data.opening import open_recording
+from fleetpose.evaluation.metrics.geometry import inverse, transform
 
-from evaluation.bench.clicks.command import ClicksOptions
-from evaluation.bench.clicks.deceived import Deceived, run, summarize
-from evaluation.bench.clicks.deceptive import corners_in_order, in_other_orders, one_step_along
-from evaluation.bench.clicks.truth import true_pixels
-from evaluation.data.opening import open_recording
-from evaluation.metrics.geometry import inverse, transform
 from tests.evaluation.makers import write_rgbd
 
 
@@ -30,7 +34,7 @@ def recording(tmp_path):
 
 def lift_from(recording):
     """Lifts by the recorded depths."""
-    from evaluation.data.opening import points_of
+    from fleetpose.evaluation.data.opening import points_of
 
     clouds = [points_of(view) for view in recording.views[:2]]
 

@@ -11,11 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from evaluation.metrics.fleet_scoring import SampleRow
-from evaluation.system.demo import DemoResult, report, run, without_screen
-from protocol.errors import FleetPoseError
-from protocol.transport import wait_until
+from fleetpose.evaluation.metrics.fleet_scoring import SampleRow
+from fleetpose.evaluation.system.demo import DemoResult, report, run, without_screen
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.transport import wait_until
 
 
 def row(robot: str, error_m: float, located: bool = True, is_anchor: bool = False) -> SampleRow:
@@ -80,7 +79,7 @@ def test_hanging_up_the_terminal_ends_every_process(tmp_path):
     environment = {**os.environ, "TERM": "xterm-256color", "TMPDIR": str(tmp_path)}
     environment.pop("HEADLESS", None)
     demo = subprocess.Popen(
-        [sys.executable, "-P", "-m", "evaluation", "demo", "--robots", "2"],
+        [sys.executable, "-P", "-m", "fleetpose.evaluation", "demo", "--robots", "2"],
         stdin=inner,
         stdout=inner,
         stderr=inner,

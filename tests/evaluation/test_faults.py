@@ -6,14 +6,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-from evaluation.system.faults import command, inject, late
-from evaluation.system.faults.command import FaultOptions
-from evaluation.system.faults.frozen import _longest_gap
-from evaluation.system.faults.inject import FAULTS, Watch
-from evaluation.system.faults.troubles import FAULTY, ToldTruth, TwoHalls
-from protocol.errors import FleetPoseError
-from protocol.messages import Alarm
+from fleetpose.evaluation.system.faults import command, inject, late
+from fleetpose.evaluation.system.faults.command import FaultOptions
+from fleetpose.evaluation.system.faults.frozen import _longest_gap
+from fleetpose.evaluation.system.faults.inject import FAULTS, Watch
+from fleetpose.evaluation.system.faults.troubles import FAULTY, ToldTruth, TwoHalls
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.messages import Alarm
 
 
 @pytest.mark.timeout(300)

@@ -4,14 +4,14 @@ import json
 import random
 
 import pytest
+from fleetpose.evaluation.data.opening import open_recording
+from fleetpose.evaluation.data.parts import parts_of
+from fleetpose.evaluation.system.fleet import FleetOptions, named_skip_pairs, plan_fleet, run
+from fleetpose.evaluation.system.observer import SeenView, digest_of
+from fleetpose.protocol.errors import DataFolderError, FleetPoseError
+from fleetpose.protocol.keys import new_epoch
+from fleetpose.protocol.messages import View, ViewName
 
-from evaluation.data.opening import open_recording
-from evaluation.data.parts import parts_of
-from evaluation.system.fleet import FleetOptions, named_skip_pairs, plan_fleet, run
-from evaluation.system.observer import SeenView, digest_of
-from protocol.errors import DataFolderError, FleetPoseError
-from protocol.keys import new_epoch
-from protocol.messages import View, ViewName
 from tests.data import shared_data
 from tests.evaluation.makers import write_posed_views, write_rgbd
 
@@ -59,9 +59,9 @@ def test_skip_pairs_that_make_no_sense_are_refused(tmp_path, text):
 
 def sent_by(folder, robot: str) -> list[SeenView]:
     """The views that an agent with this folder would send."""
-    from robot_agent.cameras.factory import open_camera
-    from robot_agent.features.keypoints import salient_points
-    from robot_agent.features.packing import view_of
+    from fleetpose.robot_agent.cameras.factory import open_camera
+    from fleetpose.robot_agent.features.keypoints import salient_points
+    from fleetpose.robot_agent.features.packing import view_of
 
     views = []
     camera = open_camera(folder.camera, folder.data, "once")
@@ -117,7 +117,7 @@ def test_views_of_posed_views_show_the_operator_what_they_share(tmp_path):
 
 
 def test_robots_names_say_nothing_about_their_order():
-    from evaluation.system.fleet import distinct_names
+    from fleetpose.evaluation.system.fleet import distinct_names
 
     names = distinct_names(40, random.Random(3))
     assert len(set(names)) == 40

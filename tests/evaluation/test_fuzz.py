@@ -5,13 +5,12 @@ import random
 import cv2
 import numpy as np
 import pytest
-
-from evaluation.system.fuzz import command
-from evaluation.system.fuzz.state import changes
-from evaluation.system.fuzz.targets import OPERATOR, targets_of
-from protocol.codec import encoding_of, pack
-from protocol.keys import Keys
-from protocol.messages import (
+from fleetpose.evaluation.system.fuzz import command
+from fleetpose.evaluation.system.fuzz.state import changes
+from fleetpose.evaluation.system.fuzz.targets import OPERATOR, targets_of
+from fleetpose.protocol.codec import encoding_of, pack
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import (
     Alignment,
     CameraAnnouncement,
     FleetState,
@@ -22,7 +21,8 @@ from protocol.messages import (
     View,
     ViewName,
 )
-from protocol.transport import Sample
+from fleetpose.protocol.transport import Sample
+
 from tests.pose_server.scene import pair_of_views, turned
 from tests.protocol.message_examples import CAMERA, EPOCH, EXAMPLES
 

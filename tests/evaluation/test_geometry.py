@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 import scipy.linalg
-from scipy.spatial.transform import Rotation
-
-from evaluation.metrics.geometry import (
+from fleetpose.evaluation.metrics.geometry import (
     align_points,
     inverse,
     nearest_rotation,
@@ -13,6 +11,8 @@ from evaluation.metrics.geometry import (
     se3_log,
     transform,
 )
+from scipy.spatial.transform import Rotation
+
 from tests.evaluation.makers import random_pose
 
 

@@ -7,22 +7,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fleetpose.evaluation.bench.clicks.click_noise import (
+    WRONG_PX,
+    right_clicks,
+    with_wrong,
+    wrong_of,
+)
+from fleetpose.evaluation.bench.clicks.rows import named
+from fleetpose.evaluation.bench.clicks.truth import true_pixels
+from fleetpose.evaluation.bench.clicks.worker import ClickedAnswer, Lifted, timed_icp
+from fleetpose.evaluation.bench.pairs.report import POSE_FILE_COLUMNS
+from fleetpose.evaluation.bench.pairs.worker import Answer
+from fleetpose.evaluation.bench.ring.command import RingOptions, run
+from fleetpose.evaluation.bench.ring.layout import along_path, rings_of
+from fleetpose.evaluation.bench.ring.report import write_summaries
+from fleetpose.evaluation.bench.ring.solving import connected, solve_ring
+from fleetpose.evaluation.data.opening import open_recording
+from fleetpose.evaluation.metrics.geometry import inverse, rigid, transform
+from fleetpose.pose_server.geometry import icp
+from fleetpose.pose_server.registration.paper import linear_start
+from fleetpose.protocol.errors import DataFolderError
 
-from evaluation.bench.clicks.click_noise import WRONG_PX, right_clicks, with_wrong, wrong_of
-from evaluation.bench.clicks.rows import named
-from evaluation.bench.clicks.truth import true_pixels
-from evaluation.bench.clicks.worker import ClickedAnswer, Lifted, timed_icp
-from evaluation.bench.pairs.report import POSE_FILE_COLUMNS
-from evaluation.bench.pairs.worker import Answer
-from evaluation.bench.ring.command import RingOptions, run
-from evaluation.bench.ring.layout import along_path, rings_of
-from evaluation.bench.ring.report import write_summaries
-from evaluation.bench.ring.solving import connected, solve_ring
-from evaluation.data.opening import open_recording
-from evaluation.metrics.geometry import inverse, rigid, transform
-from pose_server.geometry import icp
-from pose_server.registration.paper import linear_start
-from protocol.errors import DataFolderError
 from tests.evaluation.makers import pose, rotation, write_posed_views, write_rgbd
 
 SIZES = ((640, 480), (640, 480))
@@ -225,8 +230,8 @@ def test_a_robot_that_is_not_located_counts_where_its_neighbour_stands(tmp_path,
 
 
 def test_all_icp_counts_whichever_step_asks_for_it(cloud):
-    from pose_server.geometry.icp import dense_cloud
-    from pose_server.registration import refinement, surfaces
+    from fleetpose.pose_server.geometry.icp import dense_cloud
+    from fleetpose.pose_server.registration import refinement, surfaces
 
     users = [
         path.name

@@ -5,13 +5,12 @@ import time
 
 import numpy as np
 import pytest
-
-from evaluation.simulate.operator import SimulatedOperator
-from evaluation.system.observer import Observer, SeenView
-from protocol import codec
-from protocol.clouds import SalientPoints, encode_depth, encode_salient
-from protocol.keys import Keys, new_epoch
-from protocol.messages import (
+from fleetpose.evaluation.simulate.operator import SimulatedOperator
+from fleetpose.evaluation.system.observer import Observer, SeenView
+from fleetpose.protocol import codec
+from fleetpose.protocol.clouds import SalientPoints, encode_depth, encode_salient
+from fleetpose.protocol.keys import Keys, new_epoch
+from fleetpose.protocol.messages import (
     Alignment,
     Camera,
     FleetState,
@@ -23,7 +22,8 @@ from protocol.messages import (
     View,
     ViewName,
 )
-from protocol.transport import Sample, wait_until
+from fleetpose.protocol.transport import Sample, wait_until
+
 from tests.evaluation.makers import HEIGHT, WIDTH, K
 
 KEYS = Keys("test")
@@ -326,7 +326,7 @@ def test_an_update_is_repeated_until_its_receipt(site, operator):
 
 
 def test_a_rejected_click_is_noted_with_its_reason_and_not_timed(site, operator):
-    from protocol.messages import Rejection
+    from fleetpose.protocol.messages import Rejection
 
     site.ask(question())
     update = site.next_update()

@@ -5,17 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fleetpose.evaluation.__main__ import app
+from fleetpose.evaluation.bench.offline.command import OfflineOptions, run
+from fleetpose.evaluation.bench.offline.fleet import Fleet, Placed, draw_views
+from fleetpose.evaluation.bench.offline.report import summarize, worst_first
+from fleetpose.evaluation.cli.options import only_one
+from fleetpose.evaluation.data.covisibility import Sights, chained, paired_up
+from fleetpose.evaluation.data.opening import open_recording
+from fleetpose.evaluation.data.parts import checked_views
+from fleetpose.protocol.errors import DataFolderError, FleetPoseError
 from typer.testing import CliRunner
 
-from evaluation.__main__ import app
-from evaluation.bench.offline.command import OfflineOptions, run
-from evaluation.bench.offline.fleet import Fleet, Placed, draw_views
-from evaluation.bench.offline.report import summarize, worst_first
-from evaluation.cli.options import only_one
-from evaluation.data.covisibility import Sights, chained, paired_up
-from evaluation.data.opening import open_recording
-from evaluation.data.parts import checked_views
-from protocol.errors import DataFolderError, FleetPoseError
 from tests.data import shared_data
 from tests.evaluation.makers import write_posed_views, write_rgbd
 
@@ -112,8 +112,8 @@ def test_a_fleet_at_named_views_is_put_together_and_scored(tmp_path):
 
 def test_a_server_that_believes_an_alias_is_caught(tmp_path, monkeypatch):
     """The count of grave robots would be worth nothing if it could not rise."""
-    from evaluation.bench.offline import fleet as playing
-    from pose_server.registration.verdict.evaluate import PairResult
+    from fleetpose.evaluation.bench.offline import fleet as playing
+    from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 
     write_posed_views(tmp_path / "set", count=2)
     alias = np.eye(4)
@@ -129,9 +129,9 @@ def played_here(tmp_path, playing) -> Fleet:
     """A fleet of all views of the set, in this process."""
     import random
 
-    from evaluation.bench.pairs.worker import encode
-    from evaluation.data.anonymize import strip
-    from evaluation.metrics.scoring import Limits
+    from fleetpose.evaluation.bench.pairs.worker import encode
+    from fleetpose.evaluation.data.anonymize import strip
+    from fleetpose.evaluation.metrics.scoring import Limits
 
     recording = open_recording(tmp_path / "set", "sparse_noisy")
     wires = {}

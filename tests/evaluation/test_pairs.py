@@ -6,9 +6,9 @@ import subprocess
 import sys
 
 import pytest
+from fleetpose.evaluation.bench.pairs.command import limited, pairs_of, run
+from fleetpose.evaluation.data.opening import open_recording
 
-from evaluation.bench.pairs.command import limited, pairs_of, run
-from evaluation.data.opening import open_recording
 from tests.data import shared_data
 from tests.evaluation.makers import write_posed_views, write_rgbd
 
@@ -74,7 +74,7 @@ def test_rgbd_pairs_have_overlap_and_no_shared_tracks(tmp_path):
 
 def test_a_wrong_folder_ends_with_one_sentence_and_code_2(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-P", "-m", "evaluation", "pairs",
+        [sys.executable, "-P", "-m", "fleetpose.evaluation", "pairs",
          "--data", str(tmp_path), "--out", str(tmp_path / "out")],
         capture_output=True,
         text=True,

@@ -9,28 +9,27 @@ from itertools import combinations
 import cv2
 import numpy as np
 import pytest
+from fleetpose.evaluation.bench.clicks.truth import true_depth, true_pixels
+from fleetpose.evaluation.bench.pairs.worker import encode
+from fleetpose.evaluation.bench.questions.play import Task, clicks_in
+from fleetpose.evaluation.bench.synth import SynthOptions, run
+from fleetpose.evaluation.cli.options import WorldOption
+from fleetpose.evaluation.data.anonymize import strip
+from fleetpose.evaluation.data.opening import open_recording, points_of
+from fleetpose.evaluation.data.recording import CLOUD_KINDS, shared_tracks
+from fleetpose.evaluation.metrics.geometry import inverse, transform
+from fleetpose.evaluation.metrics.scoring import Limits
+from fleetpose.evaluation.simulate.world import PLANS, PlanWorld
+from fleetpose.evaluation.simulate.world.plans.planned import plan_named, stations
+from fleetpose.evaluation.simulate.world.plans.things import unique_things
+from fleetpose.evaluation.simulate.world.render import Renderer
+from fleetpose.evaluation.simulate.world.robots import HEIGHT, WIDTH
+from fleetpose.evaluation.simulate.world_server import WorldOptions, WorldServer, write_truth
+from fleetpose.evaluation.system.fleet import FleetOptions, plan_fleet
+from fleetpose.evaluation.system.truth import WorldTruth
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.robot_agent.cameras.synthetic import mount, open_camera
 from scipy.spatial import KDTree
-
-from evaluation.bench.clicks.truth import true_depth, true_pixels
-from evaluation.bench.pairs.worker import encode
-from evaluation.bench.questions.play import Task, clicks_in
-from evaluation.bench.synth import SynthOptions, run
-from evaluation.cli.options import WorldOption
-from evaluation.data.anonymize import strip
-from evaluation.data.opening import open_recording, points_of
-from evaluation.data.recording import CLOUD_KINDS, shared_tracks
-from evaluation.metrics.geometry import inverse, transform
-from evaluation.metrics.scoring import Limits
-from evaluation.simulate.world import PLANS, PlanWorld
-from evaluation.simulate.world.plans.planned import plan_named, stations
-from evaluation.simulate.world.plans.things import unique_things
-from evaluation.simulate.world.render import Renderer
-from evaluation.simulate.world.robots import HEIGHT, WIDTH
-from evaluation.simulate.world_server import WorldOptions, WorldServer, write_truth
-from evaluation.system.fleet import FleetOptions, plan_fleet
-from evaluation.system.truth import WorldTruth
-from protocol.errors import FleetPoseError
-from robot_agent.cameras.synthetic import mount, open_camera
 
 ROBOTS = 3
 SYMMETRIC = sorted(set(PLANS) - {"weak"})

@@ -5,16 +5,20 @@ import json
 
 import numpy as np
 import pytest
+from fleetpose.evaluation.bench.questions import play as playing
+from fleetpose.evaluation.bench.questions.command import QuestionsOptions, run
+from fleetpose.evaluation.bench.questions.play import Played, Run, Task
+from fleetpose.evaluation.bench.questions.policies import POLICIES
+from fleetpose.evaluation.bench.questions.report import (
+    mean_with_interval,
+    ratio_interval,
+    summarize,
+)
+from fleetpose.evaluation.data.opening import open_recording
+from fleetpose.evaluation.metrics.geometry import inverse
+from fleetpose.evaluation.metrics.scoring import Limits
+from fleetpose.protocol.errors import DataFolderError
 
-from evaluation.bench.questions import play as playing
-from evaluation.bench.questions.command import QuestionsOptions, run
-from evaluation.bench.questions.play import Played, Run, Task
-from evaluation.bench.questions.policies import POLICIES
-from evaluation.bench.questions.report import mean_with_interval, ratio_interval, summarize
-from evaluation.data.opening import open_recording
-from evaluation.metrics.geometry import inverse
-from evaluation.metrics.scoring import Limits
-from protocol.errors import DataFolderError
 from tests.evaluation.makers import pose, write_posed_views, write_rgbd
 
 

@@ -6,19 +6,19 @@ import re
 
 import numpy as np
 import pytest
-
-from evaluation.bench.pairs.calls import unsolved
-from evaluation.bench.pairs.plots import plot_all, plot_precision_recall
-from evaluation.bench.pairs.report import summarize, write_results, write_tables
-from evaluation.bench.pairs.row import PairRow
-from evaluation.data.opening import open_recording
-from evaluation.report.output import (
+from fleetpose.evaluation.bench.pairs.calls import unsolved
+from fleetpose.evaluation.bench.pairs.plots import plot_all, plot_precision_recall
+from fleetpose.evaluation.bench.pairs.report import summarize, write_results, write_tables
+from fleetpose.evaluation.bench.pairs.row import PairRow
+from fleetpose.evaluation.data.opening import open_recording
+from fleetpose.evaluation.report.output import (
     COVARIANCE_COLUMNS,
     OutputFolderError,
     output_folder,
     pose_cells,
     write_summary,
 )
+
 from tests.evaluation.makers import pose, write_posed_views, write_rgbd
 
 

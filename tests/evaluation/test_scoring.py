@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-
-from evaluation.metrics.geometry import inverse, rigid, transform
-from evaluation.metrics.scoring import (
+from fleetpose.evaluation.metrics.geometry import inverse, rigid, transform
+from fleetpose.evaluation.metrics.scoring import (
     CHI2_6_95,
     Limits,
     OverlapCloud,
@@ -19,6 +18,7 @@ from evaluation.metrics.scoring import (
     share,
     weakest_sigma_m,
 )
+
 from tests.evaluation.makers import pose, random_pose, rotation
 
 

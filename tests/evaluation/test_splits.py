@@ -1,8 +1,9 @@
 """Reports say whether a place was fitted on."""
 
-from evaluation.bench.pairs.report import write_results
-from evaluation.data import splits
-from evaluation.data.opening import open_recording
+from fleetpose.evaluation.bench.pairs.report import write_results
+from fleetpose.evaluation.data import splits
+from fleetpose.evaluation.data.opening import open_recording
+
 from tests.evaluation.makers import write_posed_views
 
 

@@ -4,10 +4,9 @@ import json
 
 import numpy as np
 import pytest
-
-from evaluation.bench.stereo import calibrations, checked, depth_errors
-from evaluation.simulate.stereo_video import lens_rig, make_video
-from robot_agent.cameras.stereo.rig import content_of
+from fleetpose.evaluation.bench.stereo import calibrations, checked, depth_errors
+from fleetpose.evaluation.simulate.stereo_video import lens_rig, make_video
+from fleetpose.robot_agent.cameras.stereo.rig import content_of
 
 CASES = list(calibrations(lens_rig(10.0)))
 

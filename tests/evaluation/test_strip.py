@@ -6,12 +6,12 @@ import re
 
 import numpy as np
 import pytest
+from fleetpose.evaluation.data.anonymize import noise_model, random_name, strip
+from fleetpose.evaluation.data.opening import open_recording
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.protocol.keys import checked_name
+from fleetpose.protocol.messages import NoiseModel
 
-from evaluation.data.anonymize import noise_model, random_name, strip
-from evaluation.data.opening import open_recording
-from protocol.errors import DataFolderError
-from protocol.keys import checked_name
-from protocol.messages import NoiseModel
 from tests.data import shared_data
 from tests.evaluation.makers import write_posed_views, write_rgbd
 
@@ -135,7 +135,7 @@ def test_a_missing_image_is_told(tmp_path):
 
 
 def test_the_robots_own_camera_reads_a_stripped_folder(tmp_path):
-    from robot_agent.cameras.factory import open_camera
+    from fleetpose.robot_agent.cameras.factory import open_camera
 
     write_posed_views(tmp_path / "views")
     write_rgbd(tmp_path / "rgbd")

@@ -6,16 +6,16 @@ import sys
 
 import numpy as np
 import pytest
+from fleetpose.evaluation.system.terminal.fingers import Eyes, arrow_keys
+from fleetpose.evaluation.system.terminal.hmi import HmiOptions
+from fleetpose.evaluation.system.terminal.hmi import run as run_hmi
+from fleetpose.evaluation.system.terminal.operate import OperateOptions
+from fleetpose.evaluation.system.terminal.operate import run as run_operate
+from fleetpose.evaluation.system.terminal.reading import images_on
+from fleetpose.evaluation.system.terminal.tmux import Terminal
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.transport import free_port
 
-from evaluation.system.terminal.fingers import Eyes, arrow_keys
-from evaluation.system.terminal.hmi import HmiOptions
-from evaluation.system.terminal.hmi import run as run_hmi
-from evaluation.system.terminal.operate import OperateOptions
-from evaluation.system.terminal.operate import run as run_operate
-from evaluation.system.terminal.reading import images_on
-from evaluation.system.terminal.tmux import Terminal
-from protocol.errors import FleetPoseError
-from protocol.transport import free_port
 from tests.data import shared_data
 
 in_tmux = pytest.mark.skipif(shutil.which("tmux") is None, reason="no tmux")
@@ -80,7 +80,7 @@ def test_a_server_killed_in_mid_click_costs_nothing_and_the_screen_says_so(tmp_p
 @in_tmux
 def test_what_was_drawn_over_and_other_sizes_are_drawn_anew(tmp_path):
     nobody = f"tcp/127.0.0.1:{free_port()}"
-    command = [sys.executable, "-P", "-m", "hmi_client", "screen", "--connect", nobody]
+    command = [sys.executable, "-P", "-m", "fleetpose.hmi_client", "screen", "--connect", nobody]
     with Terminal(command, 120, 40, {"XDG_STATE_HOME": str(tmp_path)}) as terminal:
         whole = terminal.wait_text("Quit", 30.0)
         assert "NO SERVER heard yet" in whole[-4]

@@ -7,9 +7,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-
-from evaluation.bench import wire
-from evaluation.data.opening import open_recording
+from fleetpose.evaluation.bench import wire
+from fleetpose.evaluation.data.opening import open_recording
 
 
 @pytest.fixture

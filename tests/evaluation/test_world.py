@@ -6,14 +6,13 @@ import threading
 
 import numpy as np
 import pytest
-
-from evaluation.simulate.world.ring import RingWorld
-from evaluation.simulate.world.robots import HEIGHT, WIDTH
-from evaluation.simulate.world_server import WorldServer, write_truth
-from protocol.errors import UnreachableError
-from robot_agent.cameras.base import DisparityImage
-from robot_agent.cameras.stereo.matching import StereoMatcher
-from robot_agent.cameras.synthetic import mount, open_camera
+from fleetpose.evaluation.simulate.world.ring import RingWorld
+from fleetpose.evaluation.simulate.world.robots import HEIGHT, WIDTH
+from fleetpose.evaluation.simulate.world_server import WorldServer, write_truth
+from fleetpose.protocol.errors import UnreachableError
+from fleetpose.robot_agent.cameras.base import DisparityImage
+from fleetpose.robot_agent.cameras.stereo.matching import StereoMatcher
+from fleetpose.robot_agent.cameras.synthetic import mount, open_camera
 
 
 @pytest.fixture(scope="module")

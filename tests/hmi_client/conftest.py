@@ -9,12 +9,11 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.protocol.transport import SessionSettings, open_session
 from hmi_fakes import fleet
 from hmi_server import FakeServer
 from screen_makers import Clock
-
-from hmi_client.model.session import OperatorSession
-from protocol.transport import SessionSettings, open_session
 
 
 def checkered(robot: str, seq: int) -> bytes:
@@ -43,9 +42,9 @@ def serve(router):
 @pytest.fixture
 def client_of(router):
     """Starts clients on the router: `client_of(session)`."""
-    from hmi_client.network.client import Client
-    from protocol.keys import Keys
-    from protocol.transport import Link
+    from fleetpose.hmi_client.network.client import Client
+    from fleetpose.protocol.keys import Keys
+    from fleetpose.protocol.transport import Link
 
     clients = []
 

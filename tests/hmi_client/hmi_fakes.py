@@ -5,9 +5,8 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-
-from protocol.keys import ordered_pair
-from protocol.messages import (
+from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.messages import (
     Alignment,
     Camera,
     FleetState,

@@ -4,11 +4,9 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from hmi_fakes import CAMERA, EPOCH, NO_DEPTH_U, ROBOT_EPOCH, empty_view, fleet, ring, status, view
-
-from protocol.codec import encoding_of, pack, unpack
-from protocol.keys import Keys
-from protocol.messages import (
+from fleetpose.protocol.codec import encoding_of, pack, unpack
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import (
     Camera,
     CameraAnnouncement,
     Correspondence,
@@ -24,7 +22,8 @@ from protocol.messages import (
     ServerStatus,
     ViewName,
 )
-from protocol.transport import Answer, Link, Sample, SessionSettings, open_session
+from fleetpose.protocol.transport import Answer, Link, Sample, SessionSettings, open_session
+from hmi_fakes import CAMERA, EPOCH, NO_DEPTH_U, ROBOT_EPOCH, empty_view, fleet, ring, status, view
 
 
 @dataclass

@@ -3,19 +3,15 @@
 import time
 
 import pytest
-from hmi_fakes import view, wait_for
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
-from hmi_client.cli.reports import Watcher, sentence
-from hmi_client.errors import PictureError
-from hmi_client.model.jpeg import MAX_PIXELS, frame_of
-from hmi_client.model.session import OperatorSession
-from hmi_client.network.message_decoder import opened, picture_in
-from protocol.codec import encoding_of, pack
-from protocol.errors import CodecError, FleetPoseError
-from protocol.keys import Keys
-from protocol.messages import (
+from fleetpose.hmi_client.cli.reports import Watcher, sentence
+from fleetpose.hmi_client.errors import PictureError
+from fleetpose.hmi_client.model.jpeg import MAX_PIXELS, frame_of
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.network.message_decoder import opened, picture_in
+from fleetpose.protocol.codec import encoding_of, pack
+from fleetpose.protocol.errors import CodecError, FleetPoseError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import (
     Alignment,
     CameraAnnouncement,
     FleetState,
@@ -25,8 +21,12 @@ from protocol.messages import (
     RobotPose,
     ServerStatus,
 )
-from protocol.messages.base import Message
-from protocol.transport import Sample
+from fleetpose.protocol.messages.base import Message
+from fleetpose.protocol.transport import Sample
+from hmi_fakes import view, wait_for
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from tests.hmi_client.conftest import checkered
 from tests.protocol.message_examples import EXAMPLES
 

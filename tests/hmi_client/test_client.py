@@ -1,12 +1,11 @@
 """The client between a session and a fake server, over real zenoh."""
 
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.network.client import Client
+from fleetpose.protocol.codec import encoding_of, pack
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.transport import Link, SessionSettings, open_session
 from hmi_fakes import alignment, fleet, pose, view, wait_for
-
-from hmi_client.model.session import OperatorSession
-from hmi_client.network.client import Client
-from protocol.codec import encoding_of, pack
-from protocol.keys import Keys
-from protocol.transport import Link, SessionSettings, open_session
 
 LIAR = "f" * 12
 

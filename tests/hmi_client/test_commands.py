@@ -6,10 +6,9 @@ import subprocess
 import sys
 
 import pytest
+from fleetpose.hmi_client.__main__ import main
+from fleetpose.protocol.transport import free_port
 from hmi_fakes import alignment, wait_for
-
-from hmi_client.__main__ import main
-from protocol.transport import free_port
 
 
 @pytest.fixture
@@ -185,7 +184,7 @@ def test_without_a_server_the_exit_code_is_3_and_a_sentence_says_so(hmi):
 
 
 def test_without_a_router_the_exit_code_is_3():
-    command = [sys.executable, "-P", "-m", "hmi_client", "status"]
+    command = [sys.executable, "-P", "-m", "fleetpose.hmi_client", "status"]
     nowhere = ["--connect", f"tcp/127.0.0.1:{free_port()}"]
     done = subprocess.run(
         command + nowhere, capture_output=True, text=True, timeout=60, check=False
@@ -196,7 +195,7 @@ def test_without_a_router_the_exit_code_is_3():
 
 def test_without_a_terminal_the_bare_command_prints_help():
     done = subprocess.run(
-        [sys.executable, "-P", "-m", "hmi_client"],
+        [sys.executable, "-P", "-m", "fleetpose.hmi_client"],
         capture_output=True,
         text=True,
         timeout=60,

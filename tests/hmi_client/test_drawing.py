@@ -4,20 +4,19 @@ import math
 
 import numpy as np
 import pytest
-from hmi_fakes import pose
-
-from hmi_client.model.top_view import (
+from fleetpose.hmi_client.model.top_view import (
     ground_ellipse,
     heading_rad,
     position_covariance,
     position_sigma_m,
 )
-from hmi_client.tui.drawing import palette
-from hmi_client.tui.drawing.arrangement import MIN_LOUPE, arrange, fit
-from hmi_client.tui.drawing.cells import Canvas, HalfBlocks, Window, braille_of, sample
-from hmi_client.tui.drawing.palette import style, tone
-from hmi_client.tui.panels.map_panel import Projection, layout, nice_length
-from hmi_client.tui.panels.matrix_panel import shorten
+from fleetpose.hmi_client.tui.drawing import palette
+from fleetpose.hmi_client.tui.drawing.arrangement import MIN_LOUPE, arrange, fit
+from fleetpose.hmi_client.tui.drawing.cells import Canvas, HalfBlocks, Window, braille_of, sample
+from fleetpose.hmi_client.tui.drawing.palette import style, tone
+from fleetpose.hmi_client.tui.panels.map_panel import Projection, layout, nice_length
+from fleetpose.hmi_client.tui.panels.matrix_panel import shorten
+from hmi_fakes import pose
 
 
 def colours(strip):

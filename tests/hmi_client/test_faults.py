@@ -1,15 +1,14 @@
 """Restarts, lost messages and bad input between a client and a fake server, over real zenoh."""
 
 import pytest
+from fleetpose.hmi_client.model.picture_decoder import decoded
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.protocol.codec import pack
+from fleetpose.protocol.drops import MAX_REASONS, OTHER, Drops
+from fleetpose.protocol.errors import UnreachableError
+from fleetpose.protocol.messages import ImageHeader
 from hmi_fakes import CAMERA, view, wait_for
 from hmi_server import Journal
-
-from hmi_client.model.picture_decoder import decoded
-from hmi_client.model.session import OperatorSession
-from protocol.codec import pack
-from protocol.drops import MAX_REASONS, OTHER, Drops
-from protocol.errors import UnreachableError
-from protocol.messages import ImageHeader
 
 NEXT_EPOCH = "f" * 12
 
@@ -239,7 +238,7 @@ def test_a_server_that_forgot_the_selection_is_told_again(client_of, serve):
 
 
 def test_selections_are_told_again_and_again(client_of, serve, monkeypatch):
-    monkeypatch.setattr("hmi_client.network.sender.RETELL_S", 0.3)
+    monkeypatch.setattr("fleetpose.hmi_client.network.sender.RETELL_S", 0.3)
     server, session, _ = ready(client_of, serve)
     both_pictures(session)
     session.toggle_freeze()

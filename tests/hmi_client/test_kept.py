@@ -6,13 +6,12 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from hmi_client.errors import OperatorError
-from hmi_client.model.session import OperatorSession
-from hmi_client.network.outbox import Outbox
-from hmi_client.network.update_log import KeptUpdates
-from protocol.codec import pack
-from protocol.messages import Receipts, Rejection, ViewName
+from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.network.outbox import Outbox
+from fleetpose.hmi_client.network.update_log import KeptUpdates
+from fleetpose.protocol.codec import pack
+from fleetpose.protocol.messages import Receipts, Rejection, ViewName
 
 PAIR = ("r1", "r2")
 EPOCH = "5" * 12
@@ -108,8 +107,8 @@ def test_a_file_that_is_none_is_said(file):
 _CHILD = """
 import os, signal, sys
 from pathlib import Path
-from hmi_client.kept import KeptUpdates
-from hmi_client.session import OperatorSession
+from fleetpose.hmi_client.kept import KeptUpdates
+from fleetpose.hmi_client.session import OperatorSession
 from tests.hmi_client.test_kept import places
 session = OperatorSession("anna", kept=KeptUpdates(Path(sys.argv[1])))
 for k in range(20):

@@ -3,16 +3,15 @@
 import re
 
 import pytest
+from fleetpose.hmi_client.cli.commands import app as commands
+from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.model.fleet_model import FORGOTTEN_S
+from fleetpose.hmi_client.tui.app import FleetApp
+from fleetpose.hmi_client.tui.bindings import PLACES, KeyMap
+from fleetpose.hmi_client.tui.panels.matrix_panel import WATCHED
+from fleetpose.protocol.messages import Selection
 from screen_makers import press, screen, selected, text
 from typer.testing import CliRunner
-
-from hmi_client.cli.commands import app as commands
-from hmi_client.errors import OperatorError
-from hmi_client.model.fleet_model import FORGOTTEN_S
-from hmi_client.tui.app import FleetApp
-from hmi_client.tui.bindings import PLACES, KeyMap
-from hmi_client.tui.panels.matrix_panel import WATCHED
-from protocol.messages import Selection
 
 
 def keymap(tmp_path, toml: str) -> KeyMap:

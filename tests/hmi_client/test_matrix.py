@@ -1,11 +1,7 @@
 """Texts of the error matrix."""
 
 import pytest
-from hmi_fakes import fleet
-from hypothesis import given
-from hypothesis import strategies as st
-
-from hmi_client.model.matrix import (
+from fleetpose.hmi_client.model.matrix import (
     BOLD_SHARE,
     HIDDEN,
     QUANTITIES,
@@ -21,7 +17,10 @@ from hmi_client.model.matrix import (
     percent_text,
     title_of,
 )
-from protocol.messages import PairCell
+from fleetpose.protocol.messages import PairCell
+from hmi_fakes import fleet
+from hypothesis import given
+from hypothesis import strategies as st
 
 
 def matrix(*cells, threshold_m=1.0, count=4):

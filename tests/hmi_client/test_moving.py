@@ -1,11 +1,10 @@
 """Points that are moved, and views that are held to do so."""
 
 import pytest
+from fleetpose.hmi_client.model.records import Picture
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.protocol.messages import Correspondence, PairCorrespondences, Receipts, Rejection
 from hmi_fakes import EPOCH, fleet, view
-
-from hmi_client.model.records import Picture
-from hmi_client.model.session import OperatorSession
-from protocol.messages import Correspondence, PairCorrespondences, Receipts, Rejection
 
 A, B = (10.0, 20.0), (30.0, 40.0)
 

@@ -3,11 +3,10 @@
 from pathlib import Path
 
 import pytest
+from fleetpose.hmi_client.cli import commands
+from fleetpose.hmi_client.cli import connection as c
+from fleetpose.hmi_client.tui import run as run_module
 from typer.testing import CliRunner
-
-from hmi_client.cli import commands
-from hmi_client.cli import connection as c
-from hmi_client.tui import run as run_module
 
 DESK = "tcp/10.0.0.1:7447"
 

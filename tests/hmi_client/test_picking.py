@@ -3,19 +3,18 @@
 import cv2
 import numpy as np
 import pytest
+from fleetpose.hmi_client.assist import picking
+from fleetpose.hmi_client.assist.pick_assist import Guide
+from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.model.depths import Depths
+from fleetpose.hmi_client.model.records import Picture
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.tui.drawing.hints import LETTERS, Hints, labels
+from fleetpose.protocol.clouds import encode_depth, encode_scattered
+from fleetpose.protocol.messages import Salient, View
 from hmi_fakes import CAMERA, alignment, fleet, pose, view
 from hypothesis import given
 from hypothesis import strategies as st
-
-from hmi_client.assist import picking
-from hmi_client.assist.pick_assist import Guide
-from hmi_client.errors import OperatorError
-from hmi_client.model.depths import Depths
-from hmi_client.model.records import Picture
-from hmi_client.model.session import OperatorSession
-from hmi_client.tui.drawing.hints import LETTERS, Hints, labels
-from protocol.clouds import encode_depth, encode_scattered
-from protocol.messages import Salient, View
 
 SALIENT = Salient(extractor="rootsift", count=0, descriptor_bytes=128, data=b"")
 DEPTH_M = 4.0

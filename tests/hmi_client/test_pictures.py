@@ -6,14 +6,13 @@ import tracemalloc
 import cv2
 import numpy as np
 import pytest
+from fleetpose.hmi_client.errors import OperatorError, PictureError
+from fleetpose.hmi_client.model.image_buffer import MAX_WAITING
+from fleetpose.hmi_client.model.jpeg import MAX_PIXELS, check_size, frame_of
+from fleetpose.hmi_client.model.picture_decoder import decoded
+from fleetpose.hmi_client.model.records import Picture
+from fleetpose.hmi_client.model.session import OperatorSession
 from hmi_fakes import CAMERA, fleet, view
-
-from hmi_client.errors import OperatorError, PictureError
-from hmi_client.model.image_buffer import MAX_WAITING
-from hmi_client.model.jpeg import MAX_PIXELS, check_size, frame_of
-from hmi_client.model.picture_decoder import decoded
-from hmi_client.model.records import Picture
-from hmi_client.model.session import OperatorSession
 
 A, B = (10.0, 20.0), (30.0, 40.0)
 

@@ -5,19 +5,18 @@ import re
 from pathlib import Path
 
 import pytest
+from fleetpose.hmi_client.cli.commands import app
+from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.network.client import Client
+from fleetpose.hmi_client.recording.file import Recorder, Recording
+from fleetpose.hmi_client.recording.link import RecordedLink
+from fleetpose.hmi_client.recording.player import PlayClock, PlayedSession, Player
+from fleetpose.hmi_client.recording.timeline import timeline
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.transport import Link, Sample, SessionSettings, open_session, wait_until
 from hmi_fakes import NO_DEPTH_U
 from typer.testing import CliRunner
-
-from hmi_client.cli.commands import app
-from hmi_client.errors import OperatorError
-from hmi_client.model.session import OperatorSession
-from hmi_client.network.client import Client
-from hmi_client.recording.file import Recorder, Recording
-from hmi_client.recording.link import RecordedLink
-from hmi_client.recording.player import PlayClock, PlayedSession, Player
-from hmi_client.recording.timeline import timeline
-from protocol.keys import Keys
-from protocol.transport import Link, Sample, SessionSettings, open_session, wait_until
 
 PAIR = ("r1", "r2")
 

@@ -5,12 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from hmi_fakes import EPOCH, fleet, view
-from screen_makers import Clock, press, screen, selected
-from syrupy.extensions.single_file import SingleFileSnapshotExtension, WriteMode
-
-from hmi_client.model.session import OperatorSession
-from protocol.messages import (
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.protocol.messages import (
     Correspondence,
     PairCorrespondences,
     Question,
@@ -18,6 +14,9 @@ from protocol.messages import (
     Rejection,
     Suggestion,
 )
+from hmi_fakes import EPOCH, fleet, view
+from screen_makers import Clock, press, screen, selected
+from syrupy.extensions.single_file import SingleFileSnapshotExtension, WriteMode
 
 A, B = (100.0, 50.0), (110.0, 60.0)
 

@@ -5,14 +5,14 @@ import sys
 
 import numpy as np
 import pytest
+from fleetpose.evaluation.system.fleet import open_link
+from fleetpose.protocol.codec import encoding_of, pack, unpack
+from fleetpose.protocol.errors import UnreachableError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import RelativePose, RobotPose
+from fleetpose.protocol.transport import SessionSettings, wait_until
+from fleetpose.robot_agent.client import FleetRobot
 
-from evaluation.system.fleet import open_link
-from protocol.codec import encoding_of, pack, unpack
-from protocol.errors import UnreachableError
-from protocol.keys import Keys
-from protocol.messages import RelativePose, RobotPose
-from protocol.transport import SessionSettings, wait_until
-from robot_agent.client import FleetRobot
 from tests.integration.test_fleet_of_processes import FIRST_POSE_S, RADIUS_M, running
 
 LIAR = "f" * 12
@@ -57,7 +57,7 @@ def test_a_program_acts_on_the_live_servers_fresh_poses_alone_and_hears_why_not(
                 assert "no view arrived" in program.why()
                 assert f"There is one at {fleet.site}." in lost.why() and not lost.poses()
                 status = subprocess.run(
-                    [sys.executable, "-m", "hmi_client", *fleet.connection, "status"],
+                    [sys.executable, "-m", "fleetpose.hmi_client", *fleet.connection, "status"],
                     capture_output=True,
                     text=True,
                     timeout=60,

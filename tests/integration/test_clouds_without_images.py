@@ -5,16 +5,16 @@ import json
 import cv2
 import numpy as np
 import pytest
+from fleetpose.deploy.local_fleet import LocalFleet
+from fleetpose.evaluation.system.fleet import open_link
+from fleetpose.evaluation.system.observer import Observer
+from fleetpose.pose_server.geometry.se3 import inverse, transform
+from fleetpose.protocol.codec import unpack
+from fleetpose.protocol.errors import UnreachableError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, KeptView, RelativePose
+from fleetpose.protocol.transport import wait_until
 
-from deploy.local_fleet import LocalFleet
-from evaluation.system.fleet import open_link
-from evaluation.system.observer import Observer
-from pose_server.geometry.se3 import inverse, transform
-from protocol.codec import unpack
-from protocol.errors import UnreachableError
-from protocol.keys import Keys
-from protocol.messages import ROBOT_FROM_CAMERA, KeptView, RelativePose
-from protocol.transport import wait_until
 from tests.pose_server.test_surfaces import corner, walked
 
 FOUND_S = 90.0

@@ -11,16 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from deploy.local_fleet import LocalFleet
-from evaluation.system.fleet import open_link, plan_world, start
-from evaluation.system.observer import Observer
-from pose_server.persistence.graph_store import read_graph
-from pose_server.persistence.restore import GRAPH
-from protocol.codec import unpack
-from protocol.keys import Keys
-from protocol.messages import PairCorrespondences, RobotPose
-from protocol.transport import wait_until
+from fleetpose.deploy.local_fleet import LocalFleet
+from fleetpose.evaluation.system.fleet import open_link, plan_world, start
+from fleetpose.evaluation.system.observer import Observer
+from fleetpose.pose_server.persistence.graph_store import read_graph
+from fleetpose.pose_server.persistence.restore import GRAPH
+from fleetpose.protocol.codec import unpack
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import PairCorrespondences, RobotPose
+from fleetpose.protocol.transport import wait_until
 
 RADIUS_M = 10.0
 FIRST_POSE_S = 60.0
@@ -116,7 +115,7 @@ def mapped(folder: Path) -> tuple[str, ...]:
     """Whom the map of the session shows that the server keeps."""
     cloud, picture = folder / "map.ply", folder / "map.png"
     options = ("--state-dir", str(folder / "state"), "--map", str(cloud), "--picture", str(picture))
-    command = [sys.executable, "-P", "-m", "pose_server", "export", *options]
+    command = [sys.executable, "-P", "-m", "fleetpose.pose_server", "export", *options]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -168,7 +167,7 @@ def true_clicks(observer: Observer, folder: Path, fleet: LocalFleet) -> list[str
     """Points far apart that both robots see, with a pixel of noise, as the command takes
     them.
     """
-    from evaluation.system.truth import WorldTruth
+    from fleetpose.evaluation.system.truth import WorldTruth
 
     truth = WorldTruth(folder / "truth", {"r1": "r1", "r2": "r2"})
     views = [observer.view(pose(observer, robot).view) for robot in ("r1", "r2")]
@@ -184,7 +183,16 @@ def true_clicks(observer: Observer, folder: Path, fleet: LocalFleet) -> list[str
 
 
 def put(fleet: LocalFleet, clicks: list[str]) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-P", "-m", "hmi_client", "correspondences", "add", "r1", "r2"]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "fleetpose.hmi_client",
+        "correspondences",
+        "add",
+        "r1",
+        "r2",
+    ]
     return subprocess.run(
         [*command, *clicks, "--timeout", "10", *fleet.connection],
         capture_output=True,

@@ -6,12 +6,11 @@ import subprocess
 import sys
 
 import pytest
-
-from deploy.local_fleet import LocalFleet
-from evaluation.system.fleet import open_link, plan_world, start, wait_started
-from evaluation.system.observer import Observer
-from protocol.keys import Keys
-from protocol.transport import wait_until
+from fleetpose.deploy.local_fleet import LocalFleet
+from fleetpose.evaluation.system.fleet import open_link, plan_world, start, wait_started
+from fleetpose.evaluation.system.observer import Observer
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.transport import wait_until
 
 END_S = 30.0
 SAID_S = 15.0
@@ -33,7 +32,15 @@ def server_alive(fleet: LocalFleet) -> list[str]:
 
 def run_server(fleet: LocalFleet, *options: str) -> subprocess.CompletedProcess[str]:
     """A server that is expected to end by itself."""
-    command = [sys.executable, "-P", "-m", "pose_server", "run", *fleet.connection, *options]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "fleetpose.pose_server",
+        "run",
+        *fleet.connection,
+        *options,
+    ]
     return subprocess.run(command, capture_output=True, text=True, timeout=SAID_S, check=False)
 
 
@@ -45,7 +52,7 @@ def ended(fleet: LocalFleet, name: str) -> int | None:
 def test_sigterm_ends_every_process_and_leaves_nothing(fleet, tmp_path):
     plan = plan_world(["r1", "r2"], tmp_path, moving=False, seed=0)
     start(fleet, plan, 2, tmp_path / "state")
-    fleet.start("watch", "hmi_client", "watch", *fleet.connection)
+    fleet.start("watch", "fleetpose.hmi_client", "watch", *fleet.connection)
     link = open_link(fleet)
     observer = Observer(link, Keys(fleet.site))
     try:
@@ -82,7 +89,9 @@ def test_a_second_server_of_a_site_is_refused_and_one_that_takes_over_ends_the_f
     assert f"in use by process {fleet.pid('server')}" in in_use.stderr
     assert server_alive(fleet) == [first], "it took nothing over, its journal is not its own"
 
-    fleet.start("second", "pose_server", "run", *fleet.connection, *other_state, "--takeover")
+    fleet.start(
+        "second", "fleetpose.pose_server", "run", *fleet.connection, *other_state, "--takeover"
+    )
     assert wait_until(lambda: ended(fleet, "server") is not None, SAID_S)
     assert ended(fleet, "server") == 2
     assert "was taken over" in fleet.tail("server")
@@ -101,7 +110,15 @@ def test_the_workers_of_a_killed_server_end_with_it(fleet):
 
 def test_a_taken_port_is_said_in_a_sentence(fleet):
     fleet.start_router()
-    command = [sys.executable, "-P", "-m", "pose_server", "router", "--listen", fleet.endpoint]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "fleetpose.pose_server",
+        "router",
+        "--listen",
+        fleet.endpoint,
+    ]
     second = subprocess.run(command, capture_output=True, text=True, timeout=SAID_S, check=False)
     assert second.returncode == 2
     assert fleet.endpoint in second.stderr and "Traceback" not in second.stderr

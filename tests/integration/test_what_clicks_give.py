@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fleetpose.deploy.local_fleet import LocalFleet
+from fleetpose.evaluation.system.fleet import open_link, plan_world, start_servers
+from fleetpose.evaluation.system.observer import Observer
+from fleetpose.protocol.codec import unpack
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import Alignment
+from fleetpose.protocol.transport import SessionSettings, wait_until
+from fleetpose.robot_agent.cameras.synthetic import SyntheticCamera, WorldLink
+from fleetpose.robot_agent.client import FleetRobot
 
-from deploy.local_fleet import LocalFleet
-from evaluation.system.fleet import open_link, plan_world, start_servers
-from evaluation.system.observer import Observer
-from protocol.codec import unpack
-from protocol.keys import Keys
-from protocol.messages import Alignment
-from protocol.transport import SessionSettings, wait_until
-from robot_agent.cameras.synthetic import SyntheticCamera, WorldLink
-from robot_agent.client import FleetRobot
 from tests.integration.test_fleet_of_processes import (
     FIRST_POSE_S,
     RADIUS_M,

@@ -1,8 +1,7 @@
 """A worker's views are cached by name: tests that run jobs here use the same names for others."""
 
 import pytest
-
-from pose_server.workers import run
+from fleetpose.pose_server.workers import run
 
 
 @pytest.fixture(autouse=True)

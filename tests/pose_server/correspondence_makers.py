@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-
-from pose_server.correspondences.records import BookState, Change, JournalError
-from pose_server.correspondences.store import Book
-from protocol.errors import FleetPoseError
-from protocol.messages import OperatorUpdate, ViewName
+from fleetpose.pose_server.correspondences.records import BookState, Change, JournalError
+from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.messages import OperatorUpdate, ViewName
 
 EPOCH = "0123456789ab"
 SESSION = "aaaaaaaaaaaa"

@@ -4,12 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.noise import covariances
-from pose_server.geometry.se3 import exp_so3, inverse, log_so3, make_pose, transform
-from pose_server.geometry.structure import Structure
-from pose_server.pose_graph.types import ClickFactor, Edge, EdgeKind
-from protocol.messages import Verdict, ViewName
+from fleetpose.pose_server.geometry.noise import covariances
+from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, log_so3, make_pose, transform
+from fleetpose.pose_server.geometry.structure import Structure
+from fleetpose.pose_server.pose_graph.types import ClickFactor, Edge, EdgeKind
+from fleetpose.protocol.messages import Verdict, ViewName
 
 Floats = npt.NDArray[np.floating]
 EPOCH = "0123456789ab"

@@ -1,11 +1,10 @@
 """Corresponding points for tests: made by known motions, with the noise of stereo cameras."""
 
 import numpy as np
+from fleetpose.pose_server.geometry.noise import covariances
+from fleetpose.pose_server.geometry.point_pairs import PointPairs
+from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
 from hypothesis import strategies as st
-
-from pose_server.geometry.noise import covariances
-from pose_server.geometry.point_pairs import PointPairs
-from pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
 
 FOCAL_PX, PIXEL_SIGMA_PX, DEPTH_SHARE = 600.0, 1.5, 0.01
 

@@ -4,11 +4,10 @@ cameras.
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.features.observed import Observed
-from pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
-from protocol.clouds import SalientPoints, encode_salient, encode_scattered
-from protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel, View, ViewName
+from fleetpose.pose_server.geometry.features.observed import Observed
+from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
+from fleetpose.protocol.clouds import SalientPoints, encode_salient, encode_scattered
+from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel, View, ViewName
 
 Floats = npt.NDArray[np.float64]
 K = np.array([[600.0, 0.0, 320.0], [0.0, 600.0, 240.0], [0.0, 0.0, 1.0]])

@@ -2,17 +2,22 @@
 
 import numpy as np
 import pytest
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.geometry.se3 import inverse
+from fleetpose.pose_server.pose_graph.types import Edge
+from fleetpose.pose_server.scheduling import pair_queue
+from fleetpose.pose_server.scheduling.pair_queue import note_promise, pick
+from fleetpose.pose_server.scheduling.proposals import (
+    LEAST_OVERLAP,
+    by_poses,
+    expected_overlaps,
+    to_compare,
+)
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import open_view
+from fleetpose.protocol.codec import pack
 
-from pose_server import pipeline
-from pose_server.correspondences.store import Book
-from pose_server.geometry.se3 import inverse
-from pose_server.pose_graph.types import Edge
-from pose_server.scheduling import pair_queue
-from pose_server.scheduling.pair_queue import note_promise, pick
-from pose_server.scheduling.proposals import LEAST_OVERLAP, by_poses, expected_overlaps, to_compare
-from pose_server.state.site import Site
-from pose_server.state.views import open_view
-from protocol.codec import pack
 from tests.pose_server.scene import descriptors, pair_of_views, turned, view, walls
 from tests.pose_server.test_flows import ENCODING, Forgetful, named, site_of
 

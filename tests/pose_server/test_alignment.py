@@ -4,21 +4,21 @@ import dataclasses
 
 import numpy as np
 import pytest
+from fleetpose.pose_server.geometry.features.free_space import agreement
+from fleetpose.pose_server.geometry.se3 import inverse, rotation_angle
+from fleetpose.pose_server.registration.align import align_pair
+from fleetpose.pose_server.registration.clicked import with_clicks
+from fleetpose.pose_server.registration.operator_starts import Clicks, operator_starts
+from fleetpose.pose_server.registration.prepared_view import prepare_view
+from fleetpose.pose_server.registration.refinement import Start
+from fleetpose.pose_server.registration.verdict.evidence import NO_RIVAL, Evidence
+from fleetpose.pose_server.registration.verdict.explained import Explained
+from fleetpose.pose_server.registration.verdict.fitted_model import MODEL
+from fleetpose.pose_server.registration.verdict.grave_probability import p_grave
+from fleetpose.pose_server.registration.verdict.words import judge
+from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.protocol.clouds import decode_salient, encode_salient
 
-from pose_server.geometry.features.free_space import agreement
-from pose_server.geometry.se3 import inverse, rotation_angle
-from pose_server.registration.align import align_pair
-from pose_server.registration.clicked import with_clicks
-from pose_server.registration.operator_starts import Clicks, operator_starts
-from pose_server.registration.prepared_view import prepare_view
-from pose_server.registration.refinement import Start
-from pose_server.registration.verdict.evidence import NO_RIVAL, Evidence
-from pose_server.registration.verdict.explained import Explained
-from pose_server.registration.verdict.fitted_model import MODEL
-from pose_server.registration.verdict.grave_probability import p_grave
-from pose_server.registration.verdict.words import judge
-from pose_server.settings import ServerSettings
-from protocol.clouds import decode_salient, encode_salient
 from tests.pose_server.scene import descriptors, pair_of_views, turned, view, walls
 
 GOOD = Evidence(

@@ -5,15 +5,15 @@ network and workers.
 from dataclasses import replace
 
 import pytest
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.consistency.anchoring import PATIENCE_S, note_anchor
+from fleetpose.pose_server.correspondences.journal import Journal
+from fleetpose.pose_server.frontend import localization
+from fleetpose.pose_server.persistence.graph_store import Graph
+from fleetpose.pose_server.persistence.restore import restored_site
+from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.messages import ViewName
 
-from pose_server import pipeline
-from pose_server.consistency.anchoring import PATIENCE_S, note_anchor
-from pose_server.correspondences.journal import Journal
-from pose_server.frontend import localization
-from pose_server.persistence.graph_store import Graph
-from pose_server.persistence.restore import restored_site
-from pose_server.state.site import Site
-from protocol.messages import ViewName
 from tests.pose_server.scene import EPOCH
 from tests.pose_server.test_doubts import (
     HALL,

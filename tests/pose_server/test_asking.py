@@ -4,20 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.correspondences.records import BookState, Change
+from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.geometry.se3 import inverse
+from fleetpose.pose_server.messages.builders import Stamp, fleet_state
+from fleetpose.pose_server.questions.facts import questions
+from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import open_view
+from fleetpose.pose_server.workers.jobs import Done
+from fleetpose.pose_server.workers.run import run_job
+from fleetpose.protocol.codec import encoding_of, pack, unpack
+from fleetpose.protocol.messages import FleetState, OperatorUpdate, Selection, View
 
-from pose_server import pipeline
-from pose_server.correspondences.records import BookState, Change
-from pose_server.correspondences.store import Book
-from pose_server.geometry.se3 import inverse
-from pose_server.messages.builders import Stamp, fleet_state
-from pose_server.questions.facts import questions
-from pose_server.settings import ServerSettings
-from pose_server.state.site import Site
-from pose_server.state.views import open_view
-from pose_server.workers.jobs import Done
-from pose_server.workers.run import run_job
-from protocol.codec import encoding_of, pack, unpack
-from protocol.messages import FleetState, OperatorUpdate, Selection, View
 from tests.pose_server.scene import EPOCH, K, descriptors, turned, view, walls
 
 T_TRUE = turned(15)

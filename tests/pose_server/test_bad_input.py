@@ -4,33 +4,38 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.app.event_queue import Inbox, Selected, TokenSeen, Updated
+from fleetpose.pose_server.app.topics import Publishers
+from fleetpose.pose_server.app.view_requests import Fetcher
+from fleetpose.pose_server.correspondences.journal import Journal, JournalError, StoredView
+from fleetpose.pose_server.messages import builders
+from fleetpose.pose_server.messages.builders import Stamp
+from fleetpose.pose_server.messages.error_matrix import pair_cells
+from fleetpose.pose_server.persistence.graph_store import Graph
+from fleetpose.pose_server.persistence.restore import restored_site
+from fleetpose.pose_server.scheduling.pair_queue import compare_some
+from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.pose_server.state import site as site_module
+from fleetpose.pose_server.state.site import MAX_EPOCHS, SiteFullError
+from fleetpose.pose_server.state.views import open_view
+from fleetpose.pose_server.workers.jobs import Done, EncodedView, Job
+from fleetpose.pose_server.workers.run import run_job
+from fleetpose.protocol.clouds import (
+    SalientPoints,
+    decode_salient,
+    encode_salient,
+    encode_scattered,
+)
+from fleetpose.protocol.codec import encoding_of, pack
+from fleetpose.protocol.drops import Drops
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import Camera, OperatorUpdate, Selection, View, ViewName
+from fleetpose.protocol.transport import Sample
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pose_server import pipeline
-from pose_server.app.event_queue import Inbox, Selected, TokenSeen, Updated
-from pose_server.app.topics import Publishers
-from pose_server.app.view_requests import Fetcher
-from pose_server.correspondences.journal import Journal, JournalError, StoredView
-from pose_server.messages import builders
-from pose_server.messages.builders import Stamp
-from pose_server.messages.error_matrix import pair_cells
-from pose_server.persistence.graph_store import Graph
-from pose_server.persistence.restore import restored_site
-from pose_server.scheduling.pair_queue import compare_some
-from pose_server.settings import ServerSettings
-from pose_server.state import site as site_module
-from pose_server.state.site import MAX_EPOCHS, SiteFullError
-from pose_server.state.views import open_view
-from pose_server.workers.jobs import Done, EncodedView, Job
-from pose_server.workers.run import run_job
-from protocol.clouds import SalientPoints, decode_salient, encode_salient, encode_scattered
-from protocol.codec import encoding_of, pack
-from protocol.drops import Drops
-from protocol.errors import CodecError
-from protocol.keys import Keys
-from protocol.messages import Camera, OperatorUpdate, Selection, View, ViewName
-from protocol.transport import Sample
 from tests.pose_server.scene import EPOCH, pair_of_views, turned
 from tests.pose_server.test_flows import kept, site_of
 
@@ -168,7 +173,8 @@ def test_stamps_centuries_off_and_numbers_that_jump_are_published(stamp_ns):
 
 
 def test_an_alignment_that_went_astray_is_no_result(monkeypatch):
-    from pose_server.workers import recipes
+    from fleetpose.pose_server.workers import recipes
+
     from tests.pose_server.test_flows import result
 
     T = np.eye(4)
@@ -311,7 +317,7 @@ def test_good_messages_reach_the_store(inbox):
 
 
 def test_a_flood_is_counted_instead_of_kept(inbox, monkeypatch):
-    monkeypatch.setattr("pose_server.app.event_queue.MAX_WAITING", 3)
+    monkeypatch.setattr("fleetpose.pose_server.app.event_queue.MAX_WAITING", 3)
     box, store = inbox
     for _ in range(10):
         box._update(Sample(KEYS.updates("op"), pack(UPDATE), encoding_of(OperatorUpdate)))

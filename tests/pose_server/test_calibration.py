@@ -5,17 +5,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from fleetpose.pose_server.calibration import monitor
+from fleetpose.pose_server.calibration.depth_comparison import DepthErrors, compare_depths
+from fleetpose.pose_server.calibration.findings import bend_of, time_offset, wrong_scales
+from fleetpose.pose_server.calibration.history import KEPT_PER_PAIR, MAX_PARTNERS, Memory, Said
+from fleetpose.pose_server.calibration.resection import resection, three_point_poses
+from fleetpose.pose_server.geometry.features.observed import Observed
+from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, rotation_angle
+from fleetpose.pose_server.state.site import Site
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pose_server.calibration import monitor
-from pose_server.calibration.depth_comparison import DepthErrors, compare_depths
-from pose_server.calibration.findings import bend_of, time_offset, wrong_scales
-from pose_server.calibration.history import KEPT_PER_PAIR, MAX_PARTNERS, Memory, Said
-from pose_server.calibration.resection import resection, three_point_poses
-from pose_server.geometry.features.observed import Observed
-from pose_server.geometry.se3 import exp_so3, inverse, rotation_angle
-from pose_server.state.site import Site
 from tests.pose_server.scene import SIZE, K, observed_pair, turned
 from tests.pose_server.test_flows import Forgetful
 

@@ -5,17 +5,17 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
+from fleetpose.pose_server.registration.clicked import P_SUPPORTED, P_UNSUPPORTED, with_clicks
+from fleetpose.pose_server.registration.operator_starts import Clicks, operator_starts
+from fleetpose.pose_server.registration.pair import RATIO, Pair
+from fleetpose.pose_server.registration.prepared_view import prepare_view
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.registration.verdict.hearing import hear
+from fleetpose.pose_server.workers.jobs import EncodedView, Job
+from fleetpose.pose_server.workers.run import run_job
+from fleetpose.protocol.codec import pack
 
-from pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
-from pose_server.registration.clicked import P_SUPPORTED, P_UNSUPPORTED, with_clicks
-from pose_server.registration.operator_starts import Clicks, operator_starts
-from pose_server.registration.pair import RATIO, Pair
-from pose_server.registration.prepared_view import prepare_view
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.registration.verdict.hearing import hear
-from pose_server.workers.jobs import EncodedView, Job
-from pose_server.workers.run import run_job
-from protocol.codec import pack
 from tests.pose_server.scene import K, descriptors, pair_of_views, turned, view, walls
 
 T_TRUE = turned(40)

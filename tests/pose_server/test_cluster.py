@@ -7,14 +7,14 @@ import signal
 import numpy as np
 import pytest
 from distributed import LocalCluster
+from fleetpose.pose_server.workers.dask_pool import ClusterPool
+from fleetpose.pose_server.workers.jobs import Done, EncodedView, Job
+from fleetpose.pose_server.workers.pools import Engine
+from fleetpose.pose_server.workers.run import run_job
+from fleetpose.protocol.codec import pack
+from fleetpose.protocol.errors import UnreachableError
+from fleetpose.protocol.transport import free_port, wait_until
 
-from pose_server.workers.dask_pool import ClusterPool
-from pose_server.workers.jobs import Done, EncodedView, Job
-from pose_server.workers.pools import Engine
-from pose_server.workers.run import run_job
-from protocol.codec import pack
-from protocol.errors import UnreachableError
-from protocol.transport import free_port, wait_until
 from tests.pose_server.scene import pair_of_views, turned
 
 DONE_S = 90.0
@@ -102,7 +102,7 @@ def test_a_damaged_view_fails_its_job_alone(engine):
 
 
 def test_no_scheduler_is_told_in_a_sentence(monkeypatch):
-    monkeypatch.setattr("pose_server.workers.dask_pool.CONNECT_S", 0.5)
+    monkeypatch.setattr("fleetpose.pose_server.workers.dask_pool.CONNECT_S", 0.5)
     with pytest.raises(UnreachableError, match="no Dask scheduler at"):
         ClusterPool(f"tcp://127.0.0.1:{free_port()}")
 

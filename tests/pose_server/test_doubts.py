@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.geometry.se3 import inverse, make_pose
+from fleetpose.pose_server.messages import builders
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.workers.jobs import Done
+from fleetpose.protocol.messages import Odometry, RobotState, View, ViewName
 
-from pose_server import pipeline
-from pose_server.geometry.se3 import inverse, make_pose
-from pose_server.messages import builders
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.settings import ServerSettings
-from pose_server.state.site import Site
-from pose_server.workers.jobs import Done
-from protocol.messages import Odometry, RobotState, View, ViewName
 from tests.pose_server.scene import EPOCH, descriptors, turned, view, walls
 from tests.pose_server.test_flows import kept, site_of, work_off
 

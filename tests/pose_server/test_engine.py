@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fleetpose.pose_server.workers.jobs import Done, EncodedView, Job
+from fleetpose.pose_server.workers.pools import MAX_TRIES, Engine, LocalPool
+from fleetpose.protocol.codec import pack
+from fleetpose.protocol.messages import View, ViewName
+from fleetpose.protocol.transport import wait_until
 
-from pose_server.workers.jobs import Done, EncodedView, Job
-from pose_server.workers.pools import MAX_TRIES, Engine, LocalPool
-from protocol.codec import pack
-from protocol.messages import View, ViewName
-from protocol.transport import wait_until
 from tests.pose_server.scene import EPOCH, pair_of_views, turned
 
 DONE_S = 60.0
@@ -159,7 +159,7 @@ def test_workers_end_with_their_parent_however_that_ends():
 
 PARENT = """
 import sys
-from pose_server.pairs.workers import LocalPool
+from fleetpose.pose_server.pairs.workers import LocalPool
 if __name__ == "__main__":
     pool = LocalPool(2)
     print(*pool.pids(), flush=True)

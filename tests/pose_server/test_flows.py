@@ -4,23 +4,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.app.build import read_pairs
+from fleetpose.pose_server.correspondences.records import BookState, Change
+from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.frontend.tracks import Track
+from fleetpose.pose_server.geometry.se3 import inverse
+from fleetpose.pose_server.persistence.restore import restore
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.scheduling.pair_queue import compare_some
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import KEEP_AT_LEAST, ViewStore, open_view, stands_still
+from fleetpose.pose_server.workers.jobs import Done
+from fleetpose.pose_server.workers.run import run_job
+from fleetpose.protocol.codec import encoding_of, pack
+from fleetpose.protocol.errors import CodecError, FleetPoseError
+from fleetpose.protocol.messages import OperatorUpdate, View, ViewName
 
-from pose_server import pipeline
-from pose_server.app.build import read_pairs
-from pose_server.correspondences.records import BookState, Change
-from pose_server.correspondences.store import Book
-from pose_server.frontend.tracks import Track
-from pose_server.geometry.se3 import inverse
-from pose_server.persistence.restore import restore
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.scheduling.pair_queue import compare_some
-from pose_server.state.site import Site
-from pose_server.state.views import KEEP_AT_LEAST, ViewStore, open_view, stands_still
-from pose_server.workers.jobs import Done
-from pose_server.workers.run import run_job
-from protocol.codec import encoding_of, pack
-from protocol.errors import CodecError, FleetPoseError
-from protocol.messages import OperatorUpdate, View, ViewName
 from tests.pose_server.scene import EPOCH, K, descriptors, pair_of_views, turned, view, walls
 
 ENCODING = encoding_of(View)

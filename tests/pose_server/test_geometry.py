@@ -2,15 +2,12 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.features.matching import one_to_one, ratio_matches
-from pose_server.geometry.features.refine import refine
-from pose_server.geometry.lift import lift_pixel
-from pose_server.geometry.noise import PointNoise
-from pose_server.geometry.se3 import (
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.features.matching import one_to_one, ratio_matches
+from fleetpose.pose_server.geometry.features.refine import refine
+from fleetpose.pose_server.geometry.lift import lift_pixel
+from fleetpose.pose_server.geometry.noise import PointNoise
+from fleetpose.pose_server.geometry.se3 import (
     adjoint,
     compose_covariance,
     exp_so3,
@@ -20,6 +17,9 @@ from pose_server.geometry.se3 import (
     retract,
     rotation_angle,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from tests.pose_server.scene import K, observed_pair, turned
 
 vectors = st.lists(st.floats(-3.1, 3.1), min_size=3, max_size=3).map(np.array)

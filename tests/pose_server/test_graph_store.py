@@ -6,13 +6,17 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-
-from pose_server.geometry.structure import Structure
-from pose_server.persistence.graph_store import Graph, GraphStore, GraphStoreError, read_graph
-from pose_server.persistence.graph_writer import Keeper, stored_graph
-from pose_server.pose_graph.types import Edge
-from protocol.messages import ViewName
-from protocol.transport import wait_until
+from fleetpose.pose_server.geometry.structure import Structure
+from fleetpose.pose_server.persistence.graph_store import (
+    Graph,
+    GraphStore,
+    GraphStoreError,
+    read_graph,
+)
+from fleetpose.pose_server.persistence.graph_writer import Keeper, stored_graph
+from fleetpose.pose_server.pose_graph.types import Edge
+from fleetpose.protocol.messages import ViewName
+from fleetpose.protocol.transport import wait_until
 
 WAIT_S = 10.0
 

@@ -2,21 +2,21 @@
 
 import numpy as np
 import pytest
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.geometry.se3 import inverse, transform
+from fleetpose.pose_server.messages.builders import Stamp, fleet_state, robot_pose
+from fleetpose.pose_server.pose_graph.types import Edge
+from fleetpose.pose_server.questions.facts import questions
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import open_view
+from fleetpose.pose_server.workers.jobs import Done
+from fleetpose.pose_server.workers.run import run_job
+from fleetpose.protocol.codec import encoding_of, pack
+from fleetpose.protocol.messages import OperatorUpdate, View
 
-from pose_server import pipeline
-from pose_server.correspondences.store import Book
-from pose_server.geometry.se3 import inverse, transform
-from pose_server.messages.builders import Stamp, fleet_state, robot_pose
-from pose_server.pose_graph.types import Edge
-from pose_server.questions.facts import questions
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.settings import ServerSettings
-from pose_server.state.site import Site
-from pose_server.state.views import open_view
-from pose_server.workers.jobs import Done
-from pose_server.workers.run import run_job
-from protocol.codec import encoding_of, pack
-from protocol.messages import OperatorUpdate, View
 from tests.pose_server.scene import K, descriptors, turned, view, walls
 from tests.pose_server.test_asking import SESSION, Forgetful
 

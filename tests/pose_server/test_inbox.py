@@ -4,14 +4,14 @@ import queue
 
 import numpy as np
 import pytest
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.app.event_queue import Inbox, Selected, Updated
+from fleetpose.protocol.codec import encoding_of, pack
+from fleetpose.protocol.drops import Drops
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import OperatorUpdate, Selection
+from fleetpose.protocol.transport import Sample
 
-from pose_server import pipeline
-from pose_server.app.event_queue import Inbox, Selected, Updated
-from protocol.codec import encoding_of, pack
-from protocol.drops import Drops
-from protocol.keys import Keys
-from protocol.messages import OperatorUpdate, Selection
-from protocol.transport import Sample
 from tests.pose_server.scene import EPOCH, turned
 from tests.pose_server.test_flows import click, named, scene_with_points_to_click, site_of
 

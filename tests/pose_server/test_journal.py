@@ -9,15 +9,15 @@ import time
 from pathlib import Path
 
 import pytest
+from fleetpose.pose_server.correspondences.journal import Journal, StoredView
+from fleetpose.pose_server.correspondences.records import MAX_REJECTIONS, JournalError
+from fleetpose.pose_server.correspondences.schema import MIGRATIONS
+from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.protocol.messages import ImageHeader
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from pose_server.correspondences.journal import Journal, StoredView
-from pose_server.correspondences.records import MAX_REJECTIONS, JournalError
-from pose_server.correspondences.schema import MIGRATIONS
-from pose_server.correspondences.store import Book
-from protocol.messages import ImageHeader
 from tests.pose_server.correspondence_makers import (
     EPOCH,
     Memory,
@@ -126,7 +126,7 @@ def test_full_disk_is_an_error_that_changes_nothing(path):
 
 
 def test_file_held_by_another_program_is_an_error_that_changes_nothing(path, monkeypatch):
-    monkeypatch.setattr("pose_server.correspondences.journal._BUSY_TIMEOUT_S", 0.05)
+    monkeypatch.setattr("fleetpose.pose_server.correspondences.journal._BUSY_TIMEOUT_S", 0.05)
     with Journal(path) as journal:
         book = Book(journal)
         other = sqlite3.connect(path, isolation_level=None)

@@ -4,17 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fleetpose.pose_server.correspondences.lifting import Lifter, NoDepthError
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.lift import lift_pixel
+from fleetpose.pose_server.registration.prepared_view import point_noise
+from fleetpose.pose_server.state.views import MIN_POINTS, KeptView, open_view
+from fleetpose.protocol.clouds import encode_depth, points_of
+from fleetpose.protocol.codec import pack
+from fleetpose.protocol.messages import View
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from pose_server.correspondences.lifting import Lifter, NoDepthError
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.lift import lift_pixel
-from pose_server.registration.prepared_view import point_noise
-from pose_server.state.views import MIN_POINTS, KeptView, open_view
-from protocol.clouds import encode_depth, points_of
-from protocol.codec import pack
-from protocol.messages import View
 from tests.pose_server.scene import SIZE, descriptors, view, walls
 
 

@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.frontend.frames import position_sigma
+from fleetpose.pose_server.messages import builders
+from fleetpose.pose_server.persistence.restore import restore
+from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.pose_server.state.site import MAX_HELD_BACK, PINNED_S, Site
+from fleetpose.pose_server.workers.jobs import Done
+from fleetpose.pose_server.workers.run import run_job
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.messages import Selection, ViewName
 
-from pose_server import pipeline
-from pose_server.frontend.frames import position_sigma
-from pose_server.messages import builders
-from pose_server.persistence.restore import restore
-from pose_server.settings import ServerSettings
-from pose_server.state.site import MAX_HELD_BACK, PINNED_S, Site
-from pose_server.workers.jobs import Done
-from pose_server.workers.run import run_job
-from protocol.errors import CodecError
-from protocol.messages import Selection, ViewName
 from tests.pose_server.scene import EPOCH, descriptors, turned, view, walls
 from tests.pose_server.test_flows import click, kept, named, scene_with_points_to_click, site_of
 from tests.pose_server.test_flows import work_off as work_off_all

@@ -7,28 +7,34 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fleetpose.pose_server.correspondences.journal import Journal
+from fleetpose.pose_server.geometry.icp import has_open3d, open3d
+from fleetpose.pose_server.geometry.noise import PointNoise
+from fleetpose.pose_server.geometry.se3 import inverse, transform
+from fleetpose.pose_server.mapping.colours import robot_colours
+from fleetpose.pose_server.mapping.files import MapFileError, MapFiles
+from fleetpose.pose_server.mapping.located import NothingLocatedError
+from fleetpose.pose_server.mapping.merging import (
+    FleetMap,
+    PlacedCloud,
+    merge,
+    thinned,
+    usual_voxel_m,
+)
+from fleetpose.pose_server.mapping.picture import draw
+from fleetpose.pose_server.mapping.ply import write_ply
+from fleetpose.pose_server.mapping.projection import Projection, aslant, from_above
+from fleetpose.pose_server.mapping.raster import dots
+from fleetpose.pose_server.mapping.scene import MapCamera, MapLink, Scene, image_corners
+from fleetpose.pose_server.persistence.export import export
+from fleetpose.pose_server.persistence.graph_store import Graph, GraphStore
+from fleetpose.pose_server.persistence.opening import ExportError
+from fleetpose.pose_server.persistence.restore import folder_files
+from fleetpose.pose_server.pose_graph.types import Edge
+from fleetpose.protocol.codec import pack
+from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, View
 from scipy.spatial import cKDTree
 
-from pose_server.correspondences.journal import Journal
-from pose_server.geometry.icp import has_open3d, open3d
-from pose_server.geometry.noise import PointNoise
-from pose_server.geometry.se3 import inverse, transform
-from pose_server.mapping.colours import robot_colours
-from pose_server.mapping.files import MapFileError, MapFiles
-from pose_server.mapping.located import NothingLocatedError
-from pose_server.mapping.merging import FleetMap, PlacedCloud, merge, thinned, usual_voxel_m
-from pose_server.mapping.picture import draw
-from pose_server.mapping.ply import write_ply
-from pose_server.mapping.projection import Projection, aslant, from_above
-from pose_server.mapping.raster import dots
-from pose_server.mapping.scene import MapCamera, MapLink, Scene, image_corners
-from pose_server.persistence.export import export
-from pose_server.persistence.graph_store import Graph, GraphStore
-from pose_server.persistence.opening import ExportError
-from pose_server.persistence.restore import folder_files
-from pose_server.pose_graph.types import Edge
-from protocol.codec import pack
-from protocol.messages import ROBOT_FROM_CAMERA, View
 from tests.pose_server.scene import SIZE, K, descriptors, turned, view, walls
 
 T_TRUE = turned(15)
@@ -153,7 +159,15 @@ def test_what_cannot_be_written_is_said_with_its_option(three, tmp_path):
 def test_the_command_writes_map_and_picture_and_names_who_is_missing(three, tmp_path):
     state, _ = three
     picture = tmp_path / "new" / "map.png"
-    command = [sys.executable, "-P", "-m", "pose_server", "export", "--state-dir", str(state)]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "fleetpose.pose_server",
+        "export",
+        "--state-dir",
+        str(state),
+    ]
     options = ["--map", str(tmp_path / "map.ply"), "--picture", str(picture), "--voxel-m", "0.2"]
     done = subprocess.run(
         [*command, *options], capture_output=True, text=True, timeout=120, check=False

@@ -3,11 +3,15 @@
 import dataclasses
 
 import numpy as np
+from fleetpose.pose_server.calibration.mirrors import Mirrors
+from fleetpose.pose_server.registration.pair import RATIO, Pair
+from fleetpose.pose_server.registration.prepared_view import PreparedView, prepare_view
+from fleetpose.pose_server.registration.verdict.mirrored import (
+    is_mirrored,
+    mirrored,
+    mirrored_descriptors,
+)
 
-from pose_server.calibration.mirrors import Mirrors
-from pose_server.registration.pair import RATIO, Pair
-from pose_server.registration.prepared_view import PreparedView, prepare_view
-from pose_server.registration.verdict.mirrored import is_mirrored, mirrored, mirrored_descriptors
 from tests.pose_server.scene import pair_of_views, turned
 
 

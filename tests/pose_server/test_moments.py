@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-
-from pose_server.calibration.clocks import KEPT_VIEWS, Clocks
-from pose_server.calibration.depth_shift import DepthShift, depth_shift
-from pose_server.calibration.time_offset import Moments, moment_offset
-from protocol.messages import ViewName
+from fleetpose.pose_server.calibration.clocks import KEPT_VIEWS, Clocks
+from fleetpose.pose_server.calibration.depth_shift import DepthShift, depth_shift
+from fleetpose.pose_server.calibration.time_offset import Moments, moment_offset
+from fleetpose.protocol.messages import ViewName
 
 SIZE = (640, 480)
 

@@ -4,24 +4,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fleetpose.pose_server.calibration.monitor import note_motion
+from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.frontend.localization import followed, newest_arrived
+from fleetpose.pose_server.frontend.moving_points import MOST_MASKED, moving_masks, without_moving
+from fleetpose.pose_server.geometry.features.motion import Mask, moves_together
+from fleetpose.pose_server.geometry.se3 import inverse
+from fleetpose.pose_server.registration.align import align_pair
+from fleetpose.pose_server.registration.pair import RATIO, Pair
+from fleetpose.pose_server.registration.prepared_view import prepare_view
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.workers.jobs import Done, Job
+from fleetpose.pose_server.workers.run import run_job
+from fleetpose.protocol.codec import pack
+from fleetpose.protocol.messages import View
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pose_server.calibration.monitor import note_motion
-from pose_server.correspondences.store import Book
-from pose_server.frontend.localization import followed, newest_arrived
-from pose_server.frontend.moving_points import MOST_MASKED, moving_masks, without_moving
-from pose_server.geometry.features.motion import Mask, moves_together
-from pose_server.geometry.se3 import inverse
-from pose_server.registration.align import align_pair
-from pose_server.registration.pair import RATIO, Pair
-from pose_server.registration.prepared_view import prepare_view
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.state.site import Site
-from pose_server.workers.jobs import Done, Job
-from pose_server.workers.run import run_job
-from protocol.codec import pack
-from protocol.messages import View
 from tests.pose_server.scene import descriptors, turned, view, walls
 from tests.pose_server.test_flows import Forgetful, kept
 

@@ -4,14 +4,19 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+from fleetpose.pose_server.consistency.repetition import (
+    believed,
+    note_refuted,
+    note_repetition,
+    repetition,
+)
+from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.geometry.structure import Structure
+from fleetpose.pose_server.pose_graph.types import Edge, EdgeJudgement
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.messages import ViewName
 
-from pose_server.consistency.repetition import believed, note_refuted, note_repetition, repetition
-from pose_server.correspondences.store import Book
-from pose_server.geometry.structure import Structure
-from pose_server.pose_graph.types import Edge, EdgeJudgement
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.state.site import Site
-from protocol.messages import ViewName
 from tests.pose_server.test_telling import EPOCH, Forgetful
 
 VERIFIED = PairResult(np.eye(4), np.eye(6), "verified", (), p_grave=0.001)

@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.geometry.se3 import inverse
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.scheduling.pair_queue import compare_some
+from fleetpose.pose_server.scheduling.settings import Weights
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import open_view
+from fleetpose.pose_server.workers.jobs import Done, Job
+from fleetpose.pose_server.workers.run import run_job
+from fleetpose.protocol.codec import pack
 
-from pose_server import pipeline
-from pose_server.geometry.se3 import inverse
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.scheduling.pair_queue import compare_some
-from pose_server.scheduling.settings import Weights
-from pose_server.state.site import Site
-from pose_server.state.views import open_view
-from pose_server.workers.jobs import Done, Job
-from pose_server.workers.run import run_job
-from protocol.codec import pack
 from tests.pose_server.scene import descriptors, turned, view, walls
 from tests.pose_server.test_flows import ENCODING, named, result, site_of
 

@@ -3,10 +3,9 @@
 import random
 
 import pytest
+from fleetpose.pose_server.scheduling.weighted_round_robin import Turns
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from pose_server.scheduling.weighted_round_robin import Turns
 
 weights = st.dictionaries(st.integers(0, 200), st.floats(0.05, 20.0), min_size=1, max_size=30)
 PICKS = 1000

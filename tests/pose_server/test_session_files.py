@@ -8,22 +8,28 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import pytest
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.correspondences.journal import Journal
+from fleetpose.pose_server.correspondences.records import JournalError
+from fleetpose.pose_server.correspondences.store import Book, Kept
+from fleetpose.pose_server.frontend.frames import body_pose
+from fleetpose.pose_server.persistence.export import ExportError, export, tum_line
+from fleetpose.pose_server.persistence.graph_store import Graph, GraphStore
+from fleetpose.pose_server.persistence.graph_writer import graph_of
+from fleetpose.pose_server.persistence.importing import import_files
+from fleetpose.pose_server.persistence.restore import folder_files
+from fleetpose.pose_server.persistence.table import (
+    COLUMNS,
+    TableError,
+    read_rows,
+    write_csv,
+    write_json,
+)
+from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.messages import Correspondence, ViewName
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pose_server import pipeline
-from pose_server.correspondences.journal import Journal
-from pose_server.correspondences.records import JournalError
-from pose_server.correspondences.store import Book, Kept
-from pose_server.frontend.frames import body_pose
-from pose_server.persistence.export import ExportError, export, tum_line
-from pose_server.persistence.graph_store import Graph, GraphStore
-from pose_server.persistence.graph_writer import graph_of
-from pose_server.persistence.importing import import_files
-from pose_server.persistence.restore import folder_files
-from pose_server.persistence.table import COLUMNS, TableError, read_rows, write_csv, write_json
-from pose_server.state.site import Site
-from protocol.messages import Correspondence, ViewName
 from tests.pose_server.scene import EPOCH, turned
 from tests.pose_server.test_flows import click, kept, scene_with_points_to_click, work_off
 

@@ -4,22 +4,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-from pose_server.geometry import dlt
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.gravity import Gravity
-from pose_server.geometry.se3 import inverse, retract, rotation_angle, transform
-from pose_server.registration.align import align_pair
-from pose_server.registration.clicked import with_clicks
-from pose_server.registration.operator_starts import (
+from fleetpose.pose_server.geometry import dlt
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.gravity import Gravity
+from fleetpose.pose_server.geometry.se3 import inverse, retract, rotation_angle, transform
+from fleetpose.pose_server.registration.align import align_pair
+from fleetpose.pose_server.registration.clicked import with_clicks
+from fleetpose.pose_server.registration.operator_starts import (
     Clicks,
     OperatorStart,
     operator_starts,
     starts_from_clicks,
 )
-from pose_server.registration.prepared_view import prepare_view
-from pose_server.registration.refinement import Start
-from pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.registration.prepared_view import prepare_view
+from fleetpose.pose_server.registration.refinement import Start
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+
 from tests.pose_server.scene import pair_of_views, turned
 
 T_TRUE = turned(50)

@@ -4,16 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-from pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
-from pose_server.registration.align import align_from, align_pair, is_settled
-from pose_server.registration.clicked import with_clicks
-from pose_server.registration.operator_starts import Clicks, operator_starts
-from pose_server.registration.prepared_view import PreparedView, prepare_view
-from pose_server.registration.refinement import Start
-from protocol.clouds import SalientPoints, encode_salient, encode_scattered
-from protocol.errors import CodecError
-from protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel, View, ViewName
+from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
+from fleetpose.pose_server.registration.align import align_from, align_pair, is_settled
+from fleetpose.pose_server.registration.clicked import with_clicks
+from fleetpose.pose_server.registration.operator_starts import Clicks, operator_starts
+from fleetpose.pose_server.registration.prepared_view import PreparedView, prepare_view
+from fleetpose.pose_server.registration.refinement import Start
+from fleetpose.protocol.clouds import SalientPoints, encode_salient, encode_scattered
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel, View, ViewName
 
 K = np.array([[300.0, 0.0, 320.0], [0.0, 300.0, 240.0], [0.0, 0.0, 1.0]])
 SIGMA_M = 0.004

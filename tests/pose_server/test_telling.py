@@ -6,26 +6,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.app import publisher, queries
+from fleetpose.pose_server.app.publisher import LONGEST_PAUSE_S, Teller, pause_s
+from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.frontend.frames import position_sigma
+from fleetpose.pose_server.geometry.se3 import hat
+from fleetpose.pose_server.messages import builders
+from fleetpose.pose_server.messages.error_matrix import pair_cells
+from fleetpose.pose_server.messages.relative_pose import p_grave_of, relative_pose
+from fleetpose.pose_server.pose_graph.types import EdgeJudgement
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.workers.jobs import Done
+from fleetpose.protocol.codec import unpack
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import RelativePose, RobotPose, ViewName, WhyNot
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pose_server import pipeline
-from pose_server.app import publisher, queries
-from pose_server.app.publisher import LONGEST_PAUSE_S, Teller, pause_s
-from pose_server.correspondences.store import Book
-from pose_server.frontend.frames import position_sigma
-from pose_server.geometry.se3 import hat
-from pose_server.messages import builders
-from pose_server.messages.error_matrix import pair_cells
-from pose_server.messages.relative_pose import p_grave_of, relative_pose
-from pose_server.pose_graph.types import EdgeJudgement
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.settings import ServerSettings
-from pose_server.state.site import Site
-from pose_server.workers.jobs import Done
-from protocol.codec import unpack
-from protocol.keys import Keys
-from protocol.messages import RelativePose, RobotPose, ViewName, WhyNot
 from tests.pose_server.scene import EPOCH, turned
 from tests.pose_server.test_flows import (
     Forgetful,

@@ -2,10 +2,15 @@
 
 import numpy as np
 import pytest
-
-from pose_server.geometry.features.observed import Observed
-from pose_server.geometry.features.triangles import MOST_MATCHES, poses_by_triangles
-from pose_server.geometry.se3 import exp_so3, inverse, make_pose, rotation_angle, transform
+from fleetpose.pose_server.geometry.features.observed import Observed
+from fleetpose.pose_server.geometry.features.triangles import MOST_MATCHES, poses_by_triangles
+from fleetpose.pose_server.geometry.se3 import (
+    exp_so3,
+    inverse,
+    make_pose,
+    rotation_angle,
+    transform,
+)
 
 K = np.array([[600.0, 0.0, 320.0], [0.0, 600.0, 240.0], [0.0, 0.0, 1.0]])
 SIZE = (640, 480)

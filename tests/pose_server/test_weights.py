@@ -5,17 +5,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.scheduling.pair_queue import note_promise, pick
+from fleetpose.pose_server.scheduling.settings import Weights
+from fleetpose.pose_server.scheduling.weights import live_clicks, pair_weight
+from fleetpose.pose_server.state.pairs import PairRecord
+from fleetpose.pose_server.state.site import Site
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pose_server import pipeline
-from pose_server.correspondences.store import Book
-from pose_server.registration.verdict.evaluate import PairResult
-from pose_server.scheduling.pair_queue import note_promise, pick
-from pose_server.scheduling.settings import Weights
-from pose_server.scheduling.weights import live_clicks, pair_weight
-from pose_server.state.pairs import PairRecord
-from pose_server.state.site import Site
 from tests.pose_server.scene import turned
 from tests.pose_server.test_flows import (
     Forgetful,

@@ -6,8 +6,9 @@ is never written again: other bytes are another version, and need another name.
 
 from pathlib import Path
 
-from protocol import codec
-from protocol.messages.base import Message
+from fleetpose.protocol import codec
+from fleetpose.protocol.messages.base import Message
+
 from tests.protocol.message_examples import EXAMPLES
 
 FOLDER = Path(__file__).parent / "golden"

@@ -6,20 +6,20 @@ import threading
 import msgpack
 import numpy as np
 import pytest
+from fleetpose.protocol import codec
+from fleetpose.protocol import messages as m
+from fleetpose.protocol.clouds import MAX_CLOUD_PIXELS, SalientPoints, decode_depth, encode_salient
+from fleetpose.protocol.clouds import decode_salient as decoded
+from fleetpose.protocol.drops import MAX_REASONS, MAX_SAID, OTHER, Drops
+from fleetpose.protocol.errors import CodecError, NameRefusedError
+from fleetpose.protocol.keys import NAME_PATTERN, Keys
+from fleetpose.protocol.slots import Sample, Slots
+from fleetpose.protocol.text import one_line
+from fleetpose.protocol.transport import parameters_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from protocol import codec
-from protocol import messages as m
-from protocol.clouds import MAX_CLOUD_PIXELS, SalientPoints, decode_depth, encode_salient
-from protocol.clouds import decode_salient as decoded
-from protocol.drops import MAX_REASONS, MAX_SAID, OTHER, Drops
-from protocol.errors import CodecError, NameRefusedError
-from protocol.keys import NAME_PATTERN, Keys
-from protocol.slots import Sample, Slots
-from protocol.text import one_line
-from protocol.transport import parameters_of
 from tests.protocol.message_examples import CAMERA, EPOCH, EXAMPLES, T
 
 few = settings(max_examples=80, deadline=None)

@@ -3,14 +3,10 @@
 import numpy as np
 import pytest
 import zstandard
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
-
-from protocol import clouds
-from protocol.codec import compress
-from protocol.errors import CodecError
-from protocol.messages import (
+from fleetpose.protocol import clouds
+from fleetpose.protocol.codec import compress
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.messages import (
     ROBOT_FROM_CAMERA,
     Camera,
     DepthCloud,
@@ -20,6 +16,9 @@ from protocol.messages import (
     View,
     ViewName,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 sizes = st.tuples(st.integers(1, 50), st.integers(1, 20))
 few = settings(max_examples=60, deadline=None)

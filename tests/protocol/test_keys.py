@@ -3,9 +3,8 @@
 import re
 
 import pytest
-
-from protocol.errors import NameRefusedError
-from protocol.keys import Keys, checked_name, new_epoch, ordered_pair
+from fleetpose.protocol.errors import NameRefusedError
+from fleetpose.protocol.keys import Keys, checked_name, new_epoch, ordered_pair
 
 BAD_NAMES = ["", "R1", "r 1", "r/1", "r*", "r$", "r?", "r#", "ä", "r1\n", "@r1", "x" * 33]
 

@@ -1,10 +1,9 @@
 """Which server of a site is listened to."""
 
 import pytest
-
-from protocol.errors import CodecError
-from protocol.keys import Keys
-from protocol.presence import LiveServer
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.presence import LiveServer
 
 KEYS = Keys("demo")
 A, B, LIAR = "a" * 12, "b" * 12, "f" * 12

@@ -3,9 +3,8 @@
 import threading
 
 import pytest
-
-from protocol.errors import UnreachableError
-from protocol.transport import (
+from fleetpose.protocol.errors import UnreachableError
+from fleetpose.protocol.transport import (
     Answer,
     Link,
     Sample,

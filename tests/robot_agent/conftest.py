@@ -1,8 +1,7 @@
 """Shared by the tests of the robot's agent: who listens to its router."""
 
 import pytest
-
-from protocol.transport import Link, SessionSettings, open_session
+from fleetpose.protocol.transport import Link, SessionSettings, open_session
 
 
 @pytest.fixture

@@ -5,20 +5,20 @@ import logging
 
 import numpy as np
 import pytest
+from fleetpose.protocol.codec import encoding_of, pack
+from fleetpose.protocol.drops import Drops
+from fleetpose.protocol.errors import CalibrationError, FleetPoseError, UnreachableError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import RelativePose, RobotPose
+from fleetpose.protocol.transport import Answer, Sample, wait_until
+from fleetpose.robot_agent import poses as poses_module
+from fleetpose.robot_agent.cameras.stereo.rig import content_of, rig_of
+from fleetpose.robot_agent.client import FleetRobot
+from fleetpose.robot_agent.poses import PoseBoard
+from fleetpose.robot_agent.settings import RobotSettings
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from protocol.codec import encoding_of, pack
-from protocol.drops import Drops
-from protocol.errors import CalibrationError, FleetPoseError, UnreachableError
-from protocol.keys import Keys
-from protocol.messages import RelativePose, RobotPose
-from protocol.transport import Answer, Sample, wait_until
-from robot_agent import poses as poses_module
-from robot_agent.cameras.stereo.rig import content_of, rig_of
-from robot_agent.client import FleetRobot
-from robot_agent.poses import PoseBoard
-from robot_agent.settings import RobotSettings
 from tests.robot_agent.test_client import (
     DEPTH,
     IMAGE,

@@ -8,19 +8,18 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-
-from evaluation.simulate.stereo_video import lens_rig, shot_through_lenses
-from evaluation.simulate.world.materials.textures import noise
-from evaluation.simulate.world.render import Quad, Renderer
-from robot_agent.cameras.stereo.pairs import ImagePair
-from robot_agent.cameras.stereo.rectify import Rectifier
-from robot_agent.cameras.stereo.rig import content_of
-from robot_agent.checking.command import known_length
-from robot_agent.checking.findings import judged, parts_of, rig_findings
-from robot_agent.checking.fit import fit_rig
-from robot_agent.checking.matching import Matches
-from robot_agent.checking.report import KnownLength, check_rig
-from robot_agent.checking.scale import CheckError
+from fleetpose.evaluation.simulate.stereo_video import lens_rig, shot_through_lenses
+from fleetpose.evaluation.simulate.world.materials.textures import noise
+from fleetpose.evaluation.simulate.world.render import Quad, Renderer
+from fleetpose.robot_agent.cameras.stereo.pairs import ImagePair
+from fleetpose.robot_agent.cameras.stereo.rectify import Rectifier
+from fleetpose.robot_agent.cameras.stereo.rig import content_of
+from fleetpose.robot_agent.checking.command import known_length
+from fleetpose.robot_agent.checking.findings import judged, parts_of, rig_findings
+from fleetpose.robot_agent.checking.fit import fit_rig
+from fleetpose.robot_agent.checking.matching import Matches
+from fleetpose.robot_agent.checking.report import KnownLength, check_rig
+from fleetpose.robot_agent.checking.scale import CheckError
 
 RIG = lens_rig(10.0)
 NOISE_PX = 0.3
@@ -251,7 +250,7 @@ def test_the_command_ends_with_zero_one_or_two(pair, tmp_path):
     picture = tmp_path / "rectified.png"
 
     def run(*options):
-        command = [sys.executable, "-P", "-m", "robot_agent", "calibrate-check"]
+        command = [sys.executable, "-P", "-m", "fleetpose.robot_agent", "calibrate-check"]
         return subprocess.run(
             [*command, "--data", str(tmp_path), *options],
             capture_output=True, text=True, timeout=60, check=False,

@@ -7,12 +7,16 @@ import time
 import cv2
 import numpy as np
 import pytest
-
-from protocol.clouds import decode_depth, decode_salient
-from protocol.codec import encoding_of, pack, unpack
-from protocol.errors import CalibrationError, NameRefusedError, NameTakenError, UnreachableError
-from protocol.keys import Keys
-from protocol.messages import (
+from fleetpose.protocol.clouds import decode_depth, decode_salient
+from fleetpose.protocol.codec import encoding_of, pack, unpack
+from fleetpose.protocol.errors import (
+    CalibrationError,
+    NameRefusedError,
+    NameTakenError,
+    UnreachableError,
+)
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import (
     ROBOT_FROM_CAMERA,
     Camera,
     CameraAnnouncement,
@@ -25,7 +29,7 @@ from protocol.messages import (
     View,
     ViewName,
 )
-from protocol.transport import (
+from fleetpose.protocol.transport import (
     ENCODING_JPEG,
     Answer,
     Sample,
@@ -34,11 +38,11 @@ from protocol.transport import (
     free_port,
     wait_until,
 )
-from robot_agent.agent import paced
-from robot_agent.cameras.base import DepthImage, Frame
-from robot_agent.cameras.frozen import LEAST_S
-from robot_agent.client import FleetRobot
-from robot_agent.sender import SenderSettings
+from fleetpose.robot_agent.agent import paced
+from fleetpose.robot_agent.cameras.base import DepthImage, Frame
+from fleetpose.robot_agent.cameras.frozen import LEAST_S
+from fleetpose.robot_agent.client import FleetRobot
+from fleetpose.robot_agent.sender import SenderSettings
 
 KEYS = Keys("demo")
 MODEL = Camera(

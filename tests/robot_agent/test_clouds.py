@@ -4,16 +4,15 @@ import struct
 
 import numpy as np
 import pytest
-
-from protocol.clouds import points_of
-from protocol.errors import DataFolderError
-from protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel, ViewName
-from robot_agent.cameras.base import DepthImage, ScatteredPoints
-from robot_agent.cameras.folders.cloud import FIELD_DEG, frame_of, open_camera
-from robot_agent.cameras.folders.cloud_files import read_points
-from robot_agent.features.depth_picture import picture_of
-from robot_agent.features.keypoints import salient_of
-from robot_agent.features.packing import view_of
+from fleetpose.protocol.clouds import points_of
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel, ViewName
+from fleetpose.robot_agent.cameras.base import DepthImage, ScatteredPoints
+from fleetpose.robot_agent.cameras.folders.cloud import FIELD_DEG, frame_of, open_camera
+from fleetpose.robot_agent.cameras.folders.cloud_files import read_points
+from fleetpose.robot_agent.features.depth_picture import picture_of
+from fleetpose.robot_agent.features.keypoints import salient_of
+from fleetpose.robot_agent.features.packing import view_of
 
 EPOCH = "0" * 12
 

@@ -10,11 +10,11 @@ import time
 import cv2
 import numpy as np
 import pytest
+from fleetpose.protocol.codec import unpack
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import View
+from fleetpose.protocol.transport import free_port, wait_until
 
-from protocol.codec import unpack
-from protocol.keys import Keys
-from protocol.messages import View
-from protocol.transport import free_port, wait_until
 from tests.robot_agent.test_client import pose_message, pose_publisher, publish
 
 KEYS = Keys("demo")
@@ -41,7 +41,7 @@ def start():
     def run(*arguments, **environment):
         children.append(
             subprocess.Popen(
-                [sys.executable, "-P", "-m", "robot_agent", "run", *arguments],
+                [sys.executable, "-P", "-m", "fleetpose.robot_agent", "run", *arguments],
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 text=True,
@@ -95,7 +95,7 @@ def test_it_ends_with_the_process_that_started_it(router, link, recording):
             sys.executable,
             "-c",
             "import subprocess, sys; subprocess.Popen(sys.argv[1:]); sys.stdin.read()",
-            *(sys.executable, "-P", "-m", "robot_agent", "run", "--name", "r1"),
+            *(sys.executable, "-P", "-m", "fleetpose.robot_agent", "run", "--name", "r1"),
             *("--connect", router, "--end-with-parent"),
             *camera_options(recording, "loop"),
         ],
@@ -202,7 +202,7 @@ def test_the_command_line_goes_before_the_environment_before_the_file(start, tmp
 def test_help_does_not_import_what_is_heavy():
     code = (
         "import sys, runpy; sys.argv = ['robot-agent', 'run', '--help']\n"
-        "try: runpy.run_module('robot_agent', run_name='__main__')\n"
+        "try: runpy.run_module('fleetpose.robot_agent', run_name='__main__')\n"
         "except SystemExit: pass\n"
         "print([m for m in ('cv2', 'zenoh', 'numpy') if m in sys.modules])"
     )
@@ -215,7 +215,7 @@ def test_help_does_not_import_what_is_heavy():
 
 def test_a_missing_extra_is_named():
     code = (
-        "import sys; sys.modules['cv2'] = None; from robot_agent.__main__ import main\n"
+        "import sys; sys.modules['cv2'] = None; from fleetpose.robot_agent.__main__ import main\n"
         "sys.argv = ['robot-agent', 'run', '--name', 'r1', '--camera', 'rgbd']\n"
         "main()"
     )

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-
-from protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel
-from robot_agent.cameras.base import DepthImage, DisparityImage, ScatteredPoints
-from robot_agent.features.inverse_depth import lift_points, sigma_of
+from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel
+from fleetpose.robot_agent.cameras.base import DepthImage, DisparityImage, ScatteredPoints
+from fleetpose.robot_agent.features.inverse_depth import lift_points, sigma_of
 
 WIDTH, HEIGHT = 160, 120
 K = np.array([[300.0, 0.0, 80.0], [0.0, 300.0, 60.0], [0.0, 0.0, 1.0]])

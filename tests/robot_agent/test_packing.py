@@ -1,11 +1,10 @@
 """A frame's ranges as they go on the wire."""
 
 import numpy as np
-
-from protocol.clouds import decode_scattered
-from protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel, ScatteredCloud
-from robot_agent.cameras.base import ScatteredPoints
-from robot_agent.features.packing import cloud_of
+from fleetpose.protocol.clouds import decode_scattered
+from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel, ScatteredCloud
+from fleetpose.robot_agent.cameras.base import ScatteredPoints
+from fleetpose.robot_agent.features.packing import cloud_of
 
 MODEL = Camera(
     width=64,

@@ -8,12 +8,11 @@ import time
 import cv2
 import numpy as np
 import pytest
-
-from protocol.errors import CalibrationError, DataFolderError
-from robot_agent.cameras.base import DepthImage, ScatteredPoints
-from robot_agent.cameras.factory import open_camera
-from robot_agent.cameras.folders.rgbd import KINECT_NOISE
-from robot_agent.cameras.replay import replay_order
+from fleetpose.protocol.errors import CalibrationError, DataFolderError
+from fleetpose.robot_agent.cameras.base import DepthImage, ScatteredPoints
+from fleetpose.robot_agent.cameras.factory import open_camera
+from fleetpose.robot_agent.cameras.folders.rgbd import KINECT_NOISE
+from fleetpose.robot_agent.cameras.replay import replay_order
 
 K = np.array([[60.0, 0.0, 31.5], [0.0, 61.0, 23.5], [0.0, 0.0, 1.0]])
 

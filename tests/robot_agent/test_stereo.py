@@ -5,12 +5,15 @@ import json
 import cv2
 import numpy as np
 import pytest
-
-from evaluation.simulate.world.materials.textures import noise
-from evaluation.simulate.world.render import Quad, Renderer
-from protocol.errors import CalibrationError, DataFolderError
-from robot_agent.cameras.stereo.matching import DISPARITY_SIGMA_PX, StereoMatcher, open_camera
-from robot_agent.cameras.stereo.rig import StereoRig, content_of, read_rig, rig_of
+from fleetpose.evaluation.simulate.world.materials.textures import noise
+from fleetpose.evaluation.simulate.world.render import Quad, Renderer
+from fleetpose.protocol.errors import CalibrationError, DataFolderError
+from fleetpose.robot_agent.cameras.stereo.matching import (
+    DISPARITY_SIGMA_PX,
+    StereoMatcher,
+    open_camera,
+)
+from fleetpose.robot_agent.cameras.stereo.rig import StereoRig, content_of, read_rig, rig_of
 
 WIDTH, HEIGHT = SIZE = (480, 360)
 K = np.array(((400.0, 0, 239.5), (0, 400.0, 179.5), (0, 0, 1)))

@@ -3,8 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-
-from robot_agent.cameras.still import StillImage
+from fleetpose.robot_agent.cameras.still import StillImage
 
 SHAPE = (360, 500)
 TEXTURE = cv2.GaussianBlur(

@@ -7,18 +7,18 @@ import time
 
 import numpy as np
 import pytest
+from fleetpose.protocol.codec import encoding_of, pack
+from fleetpose.protocol.drops import Drops
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import RelativePose, RobotPose, WhyNot
+from fleetpose.protocol.transport import Answer, Link, Sample, open_session, wait_until
+from fleetpose.robot_agent import client as client_module
+from fleetpose.robot_agent import poses as poses_module
+from fleetpose.robot_agent.client import FleetRobot
+from fleetpose.robot_agent.poses import PoseBoard
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.codec import encoding_of, pack
-from protocol.drops import Drops
-from protocol.keys import Keys
-from protocol.messages import RelativePose, RobotPose, WhyNot
-from protocol.transport import Answer, Link, Sample, open_session, wait_until
-from robot_agent import client as client_module
-from robot_agent import poses as poses_module
-from robot_agent.client import FleetRobot
-from robot_agent.poses import PoseBoard
 from tests.robot_agent.test_client import (
     DEPTH,
     IMAGE,

@@ -8,15 +8,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import yaml
+from fleetpose.protocol.errors import CalibrationError, DataFolderError
+from fleetpose.robot_agent.agent import paced
+from fleetpose.robot_agent.cameras.base import CameraError
+from fleetpose.robot_agent.cameras.stereo import pairs as pairs_module
+from fleetpose.robot_agent.cameras.stereo import video as video_module
+from fleetpose.robot_agent.cameras.stereo.matching import open_camera
+from fleetpose.robot_agent.cameras.stereo.pairs import PairStream, open_pairs
+from fleetpose.robot_agent.cameras.stereo.video import DevicePlayer, VideoSettings
 
-from protocol.errors import CalibrationError, DataFolderError
-from robot_agent.agent import paced
-from robot_agent.cameras.base import CameraError
-from robot_agent.cameras.stereo import pairs as pairs_module
-from robot_agent.cameras.stereo import video as video_module
-from robot_agent.cameras.stereo.matching import open_camera
-from robot_agent.cameras.stereo.pairs import PairStream, open_pairs
-from robot_agent.cameras.stereo.video import DevicePlayer, VideoSettings
 from tests.robot_agent.video_makers import Device, number_of, numbered, write_video
 
 FPS = 20.0
@@ -235,7 +235,7 @@ def test_a_wrong_or_missing_calibration_stops_with_a_sentence_that_says_what_to_
     assert frame.image.shape == (48, 64, 3)
     device = Device(size=(128, 48))
     monkeypatch.setattr(
-        "robot_agent.cameras.stereo.matching.open_pairs", lambda *_: opened(live(device))
+        "fleetpose.robot_agent.cameras.stereo.matching.open_pairs", lambda *_: opened(live(device))
     )
     with pytest.raises(CalibrationError, match="video0 needs its calibration: give --calibration"):
         open_camera("0", "once")
@@ -293,7 +293,7 @@ def test_a_camchain_whose_second_camera_is_the_left_one_is_turned_round(tmp_path
 
 
 def pairs_rig(path):
-    from robot_agent.cameras.stereo.rig import read_rig
+    from fleetpose.robot_agent.cameras.stereo.rig import read_rig
 
     return read_rig(path.parent)
 

@@ -3,15 +3,15 @@
 import cv2
 import numpy as np
 import pytest
+from fleetpose.protocol.clouds import decode_salient
+from fleetpose.protocol.codec import unpack
+from fleetpose.protocol.messages import KeptView, ViewName
+from fleetpose.robot_agent.cameras.base import DepthImage, Frame
+from fleetpose.robot_agent.features.affine_keypoints import DIRECTIONS_DEG, tilted, wide_view
+from fleetpose.robot_agent.features.keypoints import detect, grey_of, salient_points
+from fleetpose.robot_agent.features.packing import view_of
+from fleetpose.robot_agent.recent_views import KeptViews, kept_view
 
-from protocol.clouds import decode_salient
-from protocol.codec import unpack
-from protocol.messages import KeptView, ViewName
-from robot_agent.cameras.base import DepthImage, Frame
-from robot_agent.features.affine_keypoints import DIRECTIONS_DEG, tilted, wide_view
-from robot_agent.features.keypoints import detect, grey_of, salient_points
-from robot_agent.features.packing import view_of
-from robot_agent.recent_views import KeptViews, kept_view
 from tests.robot_agent.test_salient import MODEL
 
 EPOCH = "a" * 12
@@ -66,7 +66,7 @@ def test_a_robot_answers_with_the_wide_set_and_makes_it_once(kept, monkeypatch):
     assert wide.view.name == kept.view.name and wide.jpeg is None
     assert wide.view.salient.count > kept.view.salient.count
     monkeypatch.setattr(
-        "robot_agent.recent_views.wide_view", lambda kept: pytest.fail("made again")
+        "fleetpose.robot_agent.recent_views.wide_view", lambda kept: pytest.fail("made again")
     )
     assert views.answer({"seq": "7", "salient": "wide"}).payload == answer.payload
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-
-from evaluation.metrics.geometry import Floats
-from evaluation.simulate.operator import draw_clicks
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.simulate.operator import draw_clicks
 
 WRONG_PX = 50.0
 """How far a wrong click is from the right place, in one of the two images."""

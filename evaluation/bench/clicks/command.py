@@ -7,18 +7,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from evaluation.bench.clicks.rows import ClickRow, click_row, named, write_rows
-from evaluation.bench.clicks.truth import true_pixels
-from evaluation.bench.clicks.worker import ClickedAnswer, Plan, Task, run_task
-from evaluation.bench.pairs.command import limited, pairs_of
-from evaluation.bench.ring.solving import solve_ring
-from evaluation.bench.working import as_done, on_the_wire, worker_pool
-from evaluation.data.opening import median_depth_m, open_recording
-from evaluation.data.recording import CloudKind, Recording, TrueView, shared_tracks
-from evaluation.metrics.scoring import Limits, optical_angle_deg, share
-from evaluation.report.output import output_folder, print_table, progress_bar, write_summary
-from protocol.errors import DataFolderError, FleetPoseError
+from fleetpose.evaluation.bench.clicks.rows import ClickRow, click_row, named, write_rows
+from fleetpose.evaluation.bench.clicks.truth import true_pixels
+from fleetpose.evaluation.bench.clicks.worker import ClickedAnswer, Plan, Task, run_task
+from fleetpose.evaluation.bench.pairs.command import limited, pairs_of
+from fleetpose.evaluation.bench.ring.solving import solve_ring
+from fleetpose.evaluation.bench.working import as_done, on_the_wire, worker_pool
+from fleetpose.evaluation.data.opening import median_depth_m, open_recording
+from fleetpose.evaluation.data.recording import CloudKind, Recording, TrueView, shared_tracks
+from fleetpose.evaluation.metrics.scoring import Limits, optical_angle_deg, share
+from fleetpose.evaluation.report.output import (
+    output_folder,
+    print_table,
+    progress_bar,
+    write_summary,
+)
+from fleetpose.protocol.errors import DataFolderError, FleetPoseError
 
 _RESAMPLED = 1000
 

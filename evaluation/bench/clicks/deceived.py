@@ -9,26 +9,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from evaluation.bench.clicks.click_noise import Clicked, right_clicks
-from evaluation.bench.clicks.command import ClicksOptions, pairs_in_range
-from evaluation.bench.clicks.deceptive import corners_in_order, in_other_orders, one_step_along
-from evaluation.bench.clicks.truth import true_pixels
-from evaluation.bench.clicks.worker import kept, takes
-from evaluation.bench.questions.play import aligned
-from evaluation.bench.questions.server import FleetServer
-from evaluation.bench.working import as_done, on_the_wire, worker_pool
-from evaluation.data.opening import median_depth_m, open_recording
-from evaluation.data.recording import Recording, TrueView
-from evaluation.metrics.geometry import Floats, inverse
-from evaluation.metrics.scoring import (
+from fleetpose.evaluation.bench.clicks.click_noise import Clicked, right_clicks
+from fleetpose.evaluation.bench.clicks.command import ClicksOptions, pairs_in_range
+from fleetpose.evaluation.bench.clicks.deceptive import (
+    corners_in_order,
+    in_other_orders,
+    one_step_along,
+)
+from fleetpose.evaluation.bench.clicks.truth import true_pixels
+from fleetpose.evaluation.bench.clicks.worker import kept, takes
+from fleetpose.evaluation.bench.questions.play import aligned
+from fleetpose.evaluation.bench.questions.server import FleetServer
+from fleetpose.evaluation.bench.working import as_done, on_the_wire, worker_pool
+from fleetpose.evaluation.data.opening import median_depth_m, open_recording
+from fleetpose.evaluation.data.recording import Recording, TrueView
+from fleetpose.evaluation.metrics.geometry import Floats, inverse
+from fleetpose.evaluation.metrics.scoring import (
     Limits,
     optical_angle_deg,
     position_error_m,
     rotation_error_deg,
     share,
 )
-from evaluation.report.output import (
+from fleetpose.evaluation.report.output import (
     output_folder,
     print_table,
     progress_bar,

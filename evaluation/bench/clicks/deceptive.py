@@ -10,12 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-
-from evaluation.bench.clicks.click_noise import Clicked, Lift
-from evaluation.data.opening import points_of
-from evaluation.data.recording import Recording, TrueView
-from evaluation.metrics.geometry import Floats, inverse, transform
-from evaluation.simulate.operator import CLICK_SIGMA_PX, far_apart
+from fleetpose.evaluation.bench.clicks.click_noise import Clicked, Lift
+from fleetpose.evaluation.data.opening import points_of
+from fleetpose.evaluation.data.recording import Recording, TrueView
+from fleetpose.evaluation.metrics.geometry import Floats, inverse, transform
+from fleetpose.evaluation.simulate.operator import CLICK_SIGMA_PX, far_apart
 
 _TRIED_PER_CLICK = 6
 _SAME_DEPTH = 0.03  # of a point that was clicked: as far as the one that was meant, share

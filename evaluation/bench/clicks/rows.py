@@ -8,14 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from evaluation.bench.clicks.worker import ClickedAnswer
-from evaluation.bench.pairs.command import scored
-from evaluation.bench.pairs.report import POSE_FILE_COLUMNS, REMARK_COLUMNS, TRUTH_COLUMNS, PairRow
-from evaluation.bench.ring.solving import Mask
-from evaluation.data.recording import TrueView
-from evaluation.metrics.scoring import Limits
-from evaluation.report.output import write_csv
+from fleetpose.evaluation.bench.clicks.worker import ClickedAnswer
+from fleetpose.evaluation.bench.pairs.command import scored
+from fleetpose.evaluation.bench.pairs.report import (
+    POSE_FILE_COLUMNS,
+    REMARK_COLUMNS,
+    TRUTH_COLUMNS,
+    PairRow,
+)
+from fleetpose.evaluation.bench.ring.solving import Mask
+from fleetpose.evaluation.data.recording import TrueView
+from fleetpose.evaluation.metrics.scoring import Limits
+from fleetpose.evaluation.report.output import write_csv
 
 CLICK_COLUMNS = ("clicks", "draw")
 CLICK_TRUTH_COLUMNS = ("icp_ms", "ok", "made", "wrong", "named", "ok_right_only")

@@ -5,11 +5,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-
-from evaluation.data.recording import Recording, TrueView
-from evaluation.data.rgbd import read_depth
-from evaluation.metrics.geometry import Floats, inverse
-from evaluation.simulate.operator import by_depth_images, by_tracks
+from fleetpose.evaluation.data.recording import Recording, TrueView
+from fleetpose.evaluation.data.rgbd import read_depth
+from fleetpose.evaluation.metrics.geometry import Floats, inverse
+from fleetpose.evaluation.simulate.operator import by_depth_images, by_tracks
 
 DEPTH_FOLDER = "depth"
 """Of a posed-views folder whose depths are known at every pixel: 16-bit PNG, millimetres."""

@@ -12,16 +12,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-
-from evaluation.bench.clicks import click_noise
-from evaluation.bench.clicks.click_noise import Clicked
-from evaluation.bench.pairs.worker import Answer, answer_of, of_wide, prepared, widen
-from evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.bench.clicks import click_noise
+from fleetpose.evaluation.bench.clicks.click_noise import Clicked
+from fleetpose.evaluation.bench.pairs.worker import Answer, answer_of, of_wide, prepared, widen
+from fleetpose.evaluation.metrics.geometry import Floats
 
 if TYPE_CHECKING:
-    from pose_server.geometry.lift import LiftedPoint
-    from pose_server.state.views import KeptView
-    from pose_server.workers.jobs import EncodedView, Job
+    from fleetpose.pose_server.geometry.lift import LiftedPoint
+    from fleetpose.pose_server.state.views import KeptView
+    from fleetpose.pose_server.workers.jobs import EncodedView, Job
 
 Recipe = Literal["paper", "full"]
 
@@ -118,7 +117,7 @@ def _aligned(task: Task, at_i: Lifted, at_j: Lifted) -> tuple[Answer, float]:
 
 def by_paper(wire_i: Path, wire_j: Path, at_i: Lifted, at_j: Lifted) -> tuple[Answer, float]:
     """The paper's answer, and the milliseconds of its ICP."""
-    from pose_server.registration.paper import by_icp, linear_start
+    from fleetpose.pose_server.registration.paper import by_icp, linear_start
 
     _prepare_paper(wire_i, wire_j)
     (i, _), (j, _) = prepared(wire_i), prepared(wire_j)
@@ -133,8 +132,8 @@ def by_paper(wire_i: Path, wire_j: Path, at_i: Lifted, at_j: Lifted) -> tuple[An
 
 def by_server(wire_i: Path, wire_j: Path, at_i: Lifted, at_j: Lifted) -> tuple[Answer, float]:
     """The server's answer by its own job for clicks, and the milliseconds of its ICP."""
-    from pose_server.registration.align import is_settled
-    from pose_server.workers.run import run_job
+    from fleetpose.pose_server.registration.align import is_settled
+    from fleetpose.pose_server.workers.run import run_job
 
     _prepare(wire_i, wire_j)
     job = as_job(wire_i, wire_j, at_i, at_j)
@@ -165,7 +164,7 @@ def timed_icp() -> Iterator[Spent]:
     rough ICP from shapes, that of `with_surfaces`, what is left at the end, and that of clouds
     alone.
     """
-    from pose_server.registration import refinement, surfaces
+    from fleetpose.pose_server.registration import refinement, surfaces
 
     spent = Spent()
 
@@ -199,8 +198,8 @@ def with_wide(view: "EncodedView", wire: Path) -> "EncodedView":
 
 def as_job(wire_i: Path, wire_j: Path, at_i: Lifted, at_j: Lifted) -> "Job":
     """The job that the server makes of a pair of views and the clicks in them."""
-    from pose_server.registration.operator_starts import Clicks
-    from pose_server.workers.jobs import Job
+    from fleetpose.pose_server.registration.operator_starts import Clicks
+    from fleetpose.pose_server.workers.jobs import Job
 
     i, j = encoded(wire_i), encoded(wire_j)
     if len(at_i.p) == 0:
@@ -225,8 +224,8 @@ def _pixels(wire: Path, points: Floats) -> Floats:
 @lru_cache(maxsize=8)
 def _prepare(wire_i: Path, wire_j: Path) -> None:
     """Has two views prepared in this worker: the time of an alignment is then that of the pair."""
-    from pose_server.workers.jobs import Job
-    from pose_server.workers.run import run_job
+    from fleetpose.pose_server.workers.jobs import Job
+    from fleetpose.pose_server.workers.run import run_job
 
     run_job(Job("pair", encoded(wire_i), encoded(wire_j)))
 
@@ -234,7 +233,7 @@ def _prepare(wire_i: Path, wire_j: Path) -> None:
 @lru_cache(maxsize=8)
 def _prepare_paper(wire_i: Path, wire_j: Path) -> None:
     """The same for the paper's method, so that both are timed on a pair that they have seen."""
-    from pose_server.registration.paper import by_icp
+    from fleetpose.pose_server.registration.paper import by_icp
 
     by_icp(prepared(wire_i)[0], prepared(wire_j)[0], np.eye(4))
 
@@ -242,7 +241,7 @@ def _prepare_paper(wire_i: Path, wire_j: Path) -> None:
 @lru_cache(maxsize=64)
 def kept(wire: Path) -> "KeptView":
     """A view as the server keeps it."""
-    from pose_server.state.views import open_view
+    from fleetpose.pose_server.state.views import open_view
 
     return open_view(wire.read_bytes(), None, 0.0)
 
@@ -254,7 +253,7 @@ def takes(views: Sequence["KeptView"]) -> click_noise.Lift:
 
 def lift(view: "KeptView", pixel: Floats) -> "LiftedPoint | None":
     """The point under a click, by the server's own lifting; none where it refuses."""
-    from pose_server.correspondences.lifting import NoDepthError
+    from fleetpose.pose_server.correspondences.lifting import NoDepthError
 
     try:
         return _lifter().lift(view, pixel)
@@ -264,7 +263,7 @@ def lift(view: "KeptView", pixel: Floats) -> "LiftedPoint | None":
 
 @lru_cache(maxsize=1)
 def _lifter():  # noqa: ANN202
-    from pose_server.correspondences.lifting import Lifter
+    from fleetpose.pose_server.correspondences.lifting import Lifter
 
     return Lifter()
 

@@ -20,20 +20,25 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from evaluation.bench.mapping.compare import Distances, Shift, compared, moved_by_poses
-from evaluation.bench.mapping.memory import Peak, peak_memory
-from evaluation.bench.mapping.truth import at_true_poses, true_cloud, world_from_fleet
-from evaluation.bench.offline.fleet import MOST_JOBS_PER_PAIR, remembering
-from evaluation.bench.offline.server import OfflineServer
-from evaluation.bench.working import on_the_wire, worker_pool
-from evaluation.data.opening import median_depth_m, open_recording
-from evaluation.data.parts import parts_of
-from evaluation.data.recording import CloudKind, Recording, TrueView
-from evaluation.report.output import output_folder, print_table, progress_bar, write_summary
-from pose_server.geometry.se3 import transform
-from pose_server.mapping.files import MapFiles
-from pose_server.mapping.located import located_views, map_of, map_of_views
-from pose_server.mapping.merging import FleetMap
+from fleetpose.evaluation.bench.mapping.compare import Distances, Shift, compared, moved_by_poses
+from fleetpose.evaluation.bench.mapping.memory import Peak, peak_memory
+from fleetpose.evaluation.bench.mapping.truth import at_true_poses, true_cloud, world_from_fleet
+from fleetpose.evaluation.bench.offline.fleet import MOST_JOBS_PER_PAIR, remembering
+from fleetpose.evaluation.bench.offline.server import OfflineServer
+from fleetpose.evaluation.bench.working import on_the_wire, worker_pool
+from fleetpose.evaluation.data.opening import median_depth_m, open_recording
+from fleetpose.evaluation.data.parts import parts_of
+from fleetpose.evaluation.data.recording import CloudKind, Recording, TrueView
+from fleetpose.evaluation.report.output import (
+    output_folder,
+    print_table,
+    progress_bar,
+    write_summary,
+)
+from fleetpose.pose_server.geometry.se3 import transform
+from fleetpose.pose_server.mapping.files import MapFiles
+from fleetpose.pose_server.mapping.located import located_views, map_of, map_of_views
+from fleetpose.pose_server.mapping.merging import FleetMap
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from fleetpose.pose_server.geometry.se3 import transform
+from fleetpose.pose_server.mapping.located import PlacedView, cloud_of
 from scipy.spatial import cKDTree
-
-from pose_server.geometry.se3 import transform
-from pose_server.mapping.located import PlacedView, cloud_of
 
 Floats = npt.NDArray[np.floating]
 

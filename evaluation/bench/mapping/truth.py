@@ -5,11 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-
-from evaluation.data.opening import open_recording, points_of
-from evaluation.data.recording import Recording, TrueView
-from pose_server.geometry.se3 import inverse, transform
-from pose_server.mapping.located import PlacedView, cloud_of
+from fleetpose.evaluation.data.opening import open_recording, points_of
+from fleetpose.evaluation.data.recording import Recording, TrueView
+from fleetpose.pose_server.geometry.se3 import inverse, transform
+from fleetpose.pose_server.mapping.located import PlacedView, cloud_of
 
 Floats = npt.NDArray[np.floating]
 

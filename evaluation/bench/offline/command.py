@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evaluation.bench.offline.fleet import Fleet, Task, draw_views, play
-from evaluation.bench.offline.report import write_results
-from evaluation.bench.working import as_done, on_the_wire, worker_pool
-from evaluation.data.opening import median_depth_m, open_recordings
-from evaluation.data.parts import checked_views
-from evaluation.data.recording import CloudKind, Recording
-from evaluation.metrics.scoring import Limits
-from evaluation.report.output import output_folder, progress_bar
-from protocol.errors import DataFolderError
+from fleetpose.evaluation.bench.offline.fleet import Fleet, Task, draw_views, play
+from fleetpose.evaluation.bench.offline.report import write_results
+from fleetpose.evaluation.bench.working import as_done, on_the_wire, worker_pool
+from fleetpose.evaluation.data.opening import median_depth_m, open_recordings
+from fleetpose.evaluation.data.parts import checked_views
+from fleetpose.evaluation.data.recording import CloudKind, Recording
+from fleetpose.evaluation.metrics.scoring import Limits
+from fleetpose.evaluation.report.output import output_folder, progress_bar
+from fleetpose.protocol.errors import DataFolderError
 
 
 @dataclass(frozen=True)

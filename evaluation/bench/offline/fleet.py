@@ -9,19 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-
-from evaluation.bench.offline.server import OfflineServer
-from evaluation.data.covisibility import Sights
-from evaluation.data.opening import open_recording
-from evaluation.data.recording import CloudKind, Recording, TrueView, are_partners
-from evaluation.metrics.fleet_scoring import PoseNow, SampleRow, is_grave, score_sample
-from evaluation.metrics.geometry import inverse
-from evaluation.metrics.scoring import Limits
-from protocol.errors import DataFolderError
+from fleetpose.evaluation.bench.offline.server import OfflineServer
+from fleetpose.evaluation.data.covisibility import Sights
+from fleetpose.evaluation.data.opening import open_recording
+from fleetpose.evaluation.data.recording import CloudKind, Recording, TrueView, are_partners
+from fleetpose.evaluation.metrics.fleet_scoring import PoseNow, SampleRow, is_grave, score_sample
+from fleetpose.evaluation.metrics.geometry import inverse
+from fleetpose.evaluation.metrics.scoring import Limits
+from fleetpose.protocol.errors import DataFolderError
 
 if TYPE_CHECKING:
-    from pose_server.registration.verdict.evaluate import PairResult
-    from pose_server.workers.jobs import Job
+    from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+    from fleetpose.pose_server.workers.jobs import Job
 
 ROBOTS = (4, 12)
 MOST_JOBS_PER_PAIR = 6
@@ -198,7 +197,7 @@ def remembering(folder: Path) -> Callable[["Job"], "PairResult"]:
     def align(job: "Job") -> "PairResult":
         file = folder / f"{_key(job)}.result"
         if not file.exists():
-            from pose_server.workers.run import run_job
+            from fleetpose.pose_server.workers.run import run_job
 
             mine = file.with_suffix(f".{np.random.default_rng().integers(2**60)}")
             mine.write_bytes(pickle.dumps(run_job(job)))

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from evaluation.bench.offline.fleet import Fleet, Placed
-from evaluation.data.splits import split_of
-from evaluation.metrics.scoring import share
-from evaluation.report.output import write_csv, write_summary
+from fleetpose.evaluation.bench.offline.fleet import Fleet, Placed
+from fleetpose.evaluation.data.splits import split_of
+from fleetpose.evaluation.metrics.scoring import share
+from fleetpose.evaluation.report.output import write_csv, write_summary
 
 COLUMNS = ("data", *(field.name for field in fields(Placed)))
 

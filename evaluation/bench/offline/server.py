@@ -4,26 +4,26 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from evaluation.bench.clicks.worker import kept
-from evaluation.bench.pairs.worker import of_wide, widen
-from evaluation.metrics.geometry import Floats
-from pose_server import pipeline
-from pose_server.calibration import monitor
-from pose_server.correspondences.records import BookState, Change
-from pose_server.correspondences.store import Book
-from pose_server.messages.builders import Stamp, robot_pose, why_not_located
-from pose_server.scheduling import affine_retries
-from pose_server.scheduling.pair_queue import compare_some
-from pose_server.settings import ServerSettings
-from pose_server.state.site import Site
-from pose_server.workers.jobs import Done, Job
-from pose_server.workers.run import run_job
-from protocol.errors import FleetPoseError
-from protocol.messages import RobotPose, ViewName
+from fleetpose.evaluation.bench.clicks.worker import kept
+from fleetpose.evaluation.bench.pairs.worker import of_wide, widen
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.calibration import monitor
+from fleetpose.pose_server.correspondences.records import BookState, Change
+from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.messages.builders import Stamp, robot_pose, why_not_located
+from fleetpose.pose_server.scheduling import affine_retries
+from fleetpose.pose_server.scheduling.pair_queue import compare_some
+from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.workers.jobs import Done, Job
+from fleetpose.pose_server.workers.run import run_job
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.messages import RobotPose, ViewName
 
 if TYPE_CHECKING:
-    from pose_server.registration.verdict.evaluate import PairResult
-    from pose_server.state.views import KeptView
+    from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+    from fleetpose.pose_server.state.views import KeptView
 
 SESSION = "0" * 12
 Aligner = Callable[[Job], "PairResult"]

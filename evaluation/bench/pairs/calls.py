@@ -4,8 +4,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from evaluation.bench.pairs.row import PairRow
-from evaluation.metrics.scoring import Limits
+from fleetpose.evaluation.bench.pairs.row import PairRow
+from fleetpose.evaluation.metrics.scoring import Limits
 
 CLOSEST = 8
 UNSOLVED, UNSOLVED_PER_VIEW = 24, 4

@@ -13,21 +13,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from evaluation.bench.pairs.report import write_results
-from evaluation.bench.pairs.row import PairRow
-from evaluation.bench.pairs.worker import Answer, align, prepare_ms, true_overlap
-from evaluation.bench.working import as_done, on_the_wire, worker_pool
-from evaluation.data.opening import median_depth_m, open_recording
-from evaluation.data.recording import CloudKind, Recording, TrueView, are_partners, shared_tracks
-from evaluation.metrics.geometry import inverse
-from evaluation.metrics.scoring import (
+from fleetpose.evaluation.bench.pairs.report import write_results
+from fleetpose.evaluation.bench.pairs.row import PairRow
+from fleetpose.evaluation.bench.pairs.worker import Answer, align, prepare_ms, true_overlap
+from fleetpose.evaluation.bench.working import as_done, on_the_wire, worker_pool
+from fleetpose.evaluation.data.opening import median_depth_m, open_recording
+from fleetpose.evaluation.data.recording import (
+    CloudKind,
+    Recording,
+    TrueView,
+    are_partners,
+    shared_tracks,
+)
+from fleetpose.evaluation.metrics.geometry import inverse
+from fleetpose.evaluation.metrics.scoring import (
     Limits,
     optical_angle_deg,
     position_error_m,
     rotation_error_deg,
 )
-from evaluation.report.output import output_folder, progress_bar
+from fleetpose.evaluation.report.output import output_folder, progress_bar
 
 TILE = 16  # pairs are done in squares of so many views, so that the caches serve
 

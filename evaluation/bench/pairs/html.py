@@ -6,11 +6,16 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from evaluation.bench.pairs.calls import MIN_OVERLAP, MIN_SHARED, UNSOLVED_BELOW_DEG, unsolved
-from evaluation.bench.pairs.pictures import side_by_side
-from evaluation.bench.pairs.row import PairRow
-from evaluation.data.recording import Recording
-from evaluation.report.output import cell
+from fleetpose.evaluation.bench.pairs.calls import (
+    MIN_OVERLAP,
+    MIN_SHARED,
+    UNSOLVED_BELOW_DEG,
+    unsolved,
+)
+from fleetpose.evaluation.bench.pairs.pictures import side_by_side
+from fleetpose.evaluation.bench.pairs.row import PairRow
+from fleetpose.evaluation.data.recording import Recording
+from fleetpose.evaluation.report.output import cell
 
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 1000px; color: #222 }

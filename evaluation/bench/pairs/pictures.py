@@ -3,11 +3,10 @@
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from evaluation.data.opening import points_of
-from evaluation.data.recording import Recording, TrueView
-from evaluation.metrics.geometry import Floats, inverse, transform
-from evaluation.simulate.operator import by_tracks
+from fleetpose.evaluation.data.opening import points_of
+from fleetpose.evaluation.data.recording import Recording, TrueView
+from fleetpose.evaluation.metrics.geometry import Floats, inverse, transform
+from fleetpose.evaluation.simulate.operator import by_tracks
 
 Image = npt.NDArray[np.uint8]
 

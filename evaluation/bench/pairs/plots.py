@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from evaluation.bench.pairs.row import VERDICTS, PairRow, verified_nees
-from evaluation.metrics.intervals import share_over_views
-from evaluation.metrics.reliability import plot_reliability
-from evaluation.metrics.scoring import precision_recall, weakest_sigma_m
-from evaluation.report.output import new_figure
+from fleetpose.evaluation.bench.pairs.row import VERDICTS, PairRow, verified_nees
+from fleetpose.evaluation.metrics.intervals import share_over_views
+from fleetpose.evaluation.metrics.reliability import plot_reliability
+from fleetpose.evaluation.metrics.scoring import precision_recall, weakest_sigma_m
+from fleetpose.evaluation.report.output import new_figure
 
 ANGLE_STEP_DEG = 10.0
 OVERLAP_STEP = 0.1

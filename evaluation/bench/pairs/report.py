@@ -7,17 +7,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from evaluation.bench.pairs.calls import closest_calls
-from evaluation.bench.pairs.html import write_html
-from evaluation.bench.pairs.plots import plot_all
-from evaluation.bench.pairs.row import PairRow, verified_nees
-from evaluation.data.recording import Recording
-from evaluation.data.splits import split_of
-from evaluation.metrics.intervals import share_over_views
-from evaluation.metrics.reliability import expected_calibration_error
-from evaluation.metrics.scoring import CHI2_6_95, Limits, percentile, share, trimmed_nees_per_dof
-from evaluation.report.output import (
+from fleetpose.evaluation.bench.pairs.calls import closest_calls
+from fleetpose.evaluation.bench.pairs.html import write_html
+from fleetpose.evaluation.bench.pairs.plots import plot_all
+from fleetpose.evaluation.bench.pairs.row import PairRow, verified_nees
+from fleetpose.evaluation.data.recording import Recording
+from fleetpose.evaluation.data.splits import split_of
+from fleetpose.evaluation.metrics.intervals import share_over_views
+from fleetpose.evaluation.metrics.reliability import expected_calibration_error
+from fleetpose.evaluation.metrics.scoring import (
+    CHI2_6_95,
+    Limits,
+    percentile,
+    share,
+    trimmed_nees_per_dof,
+)
+from fleetpose.evaluation.report.output import (
     COVARIANCE_COLUMNS,
     POSE_COLUMNS,
     print_table,

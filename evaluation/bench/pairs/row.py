@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from evaluation.metrics.geometry import Floats
-from evaluation.metrics.scoring import nees
-from evaluation.report.output import pose_cells
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.metrics.scoring import nees
+from fleetpose.evaluation.report.output import pose_cells
 
 ENOUGH_SHARED = 30
 VERDICTS = ("verified", "plausible", "ambiguous", "rejected")

@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-
-from evaluation.data.opening import points_of
-from evaluation.data.recording import TrueView
-from evaluation.metrics.geometry import Floats
-from evaluation.metrics.scoring import OverlapCloud, overlap
+from fleetpose.evaluation.data.opening import points_of
+from fleetpose.evaluation.data.recording import TrueView
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.metrics.scoring import OverlapCloud, overlap
 
 if TYPE_CHECKING:
-    from pose_server.registration.prepared_view import PreparedView
-    from pose_server.registration.verdict.evaluate import PairResult
-    from pose_server.registration.verdict.hearing import Hearing
-    from robot_agent.cameras.factory import CameraKind
+    from fleetpose.pose_server.registration.prepared_view import PreparedView
+    from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+    from fleetpose.pose_server.registration.verdict.hearing import Hearing
+    from fleetpose.robot_agent.cameras.factory import CameraKind
 
 CACHED_VIEWS = 64
 
@@ -53,7 +52,7 @@ def use_one_thread() -> None:
     import cv2
 
     cv2.setNumThreads(1)
-    from pose_server.workers import run
+    from fleetpose.pose_server.workers import run
 
     run.use_one_thread()
 
@@ -64,14 +63,14 @@ def encode(
     """Does an agent's work for one frame, writes the bytes to a file, returns the milliseconds.
     Without images it has the cloud alone.
     """
-    from protocol import codec
-    from protocol.keys import new_epoch
-    from protocol.messages import ViewName
-    from robot_agent.cameras.factory import open_camera
-    from robot_agent.features.depth_picture import picture_of
-    from robot_agent.features.keypoints import salient_of
-    from robot_agent.features.packing import view_of
-    from robot_agent.recent_views import kept_view
+    from fleetpose.protocol import codec
+    from fleetpose.protocol.keys import new_epoch
+    from fleetpose.protocol.messages import ViewName
+    from fleetpose.robot_agent.cameras.factory import open_camera
+    from fleetpose.robot_agent.features.depth_picture import picture_of
+    from fleetpose.robot_agent.features.keypoints import salient_of
+    from fleetpose.robot_agent.features.packing import view_of
+    from fleetpose.robot_agent.recent_views import kept_view
 
     frame = next(iter(open_camera(camera, str(folder), "once").frames()))
     if not images:
@@ -96,9 +95,9 @@ def widen(wire: Path) -> float:
     """Does an agent's work for one view whose wide set is asked for, the first time that it is;
     returns the milliseconds, 0 if it was done before.
     """
-    from protocol import codec
-    from protocol.messages import KeptView
-    from robot_agent.features.affine_keypoints import wide_view
+    from fleetpose.protocol import codec
+    from fleetpose.protocol.messages import KeptView
+    from fleetpose.robot_agent.features.affine_keypoints import wide_view
 
     wide = of_wide(wire)
     if wide.exists():
@@ -116,9 +115,9 @@ def widen(wire: Path) -> float:
 @lru_cache(maxsize=CACHED_VIEWS)
 def prepared(wire: Path) -> tuple["PreparedView", float]:
     """The server's share of one view, and its milliseconds."""
-    from pose_server.registration.prepared_view import prepare_view
-    from protocol import codec
-    from protocol.messages import View
+    from fleetpose.pose_server.registration.prepared_view import prepare_view
+    from fleetpose.protocol import codec
+    from fleetpose.protocol.messages import View
 
     payload = wire.read_bytes()
     began = time.perf_counter()
@@ -129,8 +128,8 @@ def prepared(wire: Path) -> tuple["PreparedView", float]:
 @lru_cache(maxsize=CACHED_VIEWS)
 def widened(wire: Path) -> "PreparedView":
     """The same view with its wide set of salient points, which its robot makes now."""
-    from protocol import codec
-    from protocol.messages import View
+    from fleetpose.protocol import codec
+    from fleetpose.protocol.messages import View
 
     widen(wire)
     payload = of_wide(wire).read_bytes()
@@ -144,7 +143,7 @@ def prepare_ms(wire: Path) -> float:
 
 def align(wire_i: Path, wire_j: Path) -> Answer:
     """Aligns two views, automatic starts only; what is done once per view is not timed."""
-    from pose_server.registration.align import align_pair, align_wide, is_settled
+    from fleetpose.pose_server.registration.align import align_pair, align_wide, is_settled
 
     (i, _), (j, _) = prepared(wire_i), prepared(wire_j)
     began = time.perf_counter()

@@ -13,14 +13,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-
-from evaluation.bench.persist.following import POLICIES, Policy, Run, Step, follow
-from evaluation.bench.persist.walks import Walk, recorded_walk, world_walk
-from evaluation.bench.working import as_done, worker_pool
-from evaluation.data.opening import median_depth_m, open_recording
-from evaluation.data.recording import Recording
-from evaluation.metrics.scoring import Limits, percentile, share
-from evaluation.report.output import (
+from fleetpose.evaluation.bench.persist.following import POLICIES, Policy, Run, Step, follow
+from fleetpose.evaluation.bench.persist.walks import Walk, recorded_walk, world_walk
+from fleetpose.evaluation.bench.working import as_done, worker_pool
+from fleetpose.evaluation.data.opening import median_depth_m, open_recording
+from fleetpose.evaluation.data.recording import Recording
+from fleetpose.evaluation.metrics.scoring import Limits, percentile, share
+from fleetpose.evaluation.report.output import (
     new_figure,
     output_folder,
     print_table,
@@ -28,7 +27,7 @@ from evaluation.report.output import (
     write_csv,
     write_summary,
 )
-from protocol.errors import FleetPoseError
+from fleetpose.protocol.errors import FleetPoseError
 
 _WORLD_DEPTH_M = 8.0
 """Median depth of the synthetic world's views, to a few per cent."""

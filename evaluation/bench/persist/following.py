@@ -6,18 +6,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-
-from evaluation.bench.clicks import click_noise
-from evaluation.bench.clicks.worker import as_job, encoded, kept, lifted, takes
-from evaluation.bench.pairs.worker import prepared
-from evaluation.bench.persist.walks import Walk
-from evaluation.metrics.geometry import Floats, inverse
-from evaluation.metrics.scoring import position_error_m, rotation_error_deg
-from evaluation.simulate.operator import by_view_depth
+from fleetpose.evaluation.bench.clicks import click_noise
+from fleetpose.evaluation.bench.clicks.worker import as_job, encoded, kept, lifted, takes
+from fleetpose.evaluation.bench.pairs.worker import prepared
+from fleetpose.evaluation.bench.persist.walks import Walk
+from fleetpose.evaluation.metrics.geometry import Floats, inverse
+from fleetpose.evaluation.metrics.scoring import position_error_m, rotation_error_deg
+from fleetpose.evaluation.simulate.operator import by_view_depth
 
 if TYPE_CHECKING:
-    from pose_server.registration.refinement import Start
-    from pose_server.registration.verdict.evaluate import PairResult
+    from fleetpose.pose_server.registration.refinement import Start
+    from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 
 Policy = Literal["with", "without", "without_but_carried", "paper_with", "paper_without"]
 POLICIES: tuple[Policy, ...] = (
@@ -97,7 +96,7 @@ def follow(run: Run) -> list[Step]:
 
 def _by_paper(policy: Policy, run: Run, k: int, start: Floats | None) -> tuple[Floats | None, Step]:
     """The paper's ICP from a start or from the identity, and the pose to carry on."""
-    from pose_server.registration.paper import by_icp
+    from fleetpose.pose_server.registration.paper import by_icp
 
     (i, _), (j, _) = prepared(run.a.wires[k]), prepared(run.b.wires[k])
     from_there = np.eye(4) if start is None else start
@@ -112,10 +111,10 @@ def _by_paper(policy: Policy, run: Run, k: int, start: Floats | None) -> tuple[F
 
 def _by_clicks(run: Run) -> Floats | None:
     """The server's pose of the first views with clicks; none where it cannot have them."""
-    from pose_server.frontend.tracks import accepted
-    from pose_server.workers.run import run_job
-    from protocol import codec
-    from protocol.messages import View
+    from fleetpose.pose_server.frontend.tracks import accepted
+    from fleetpose.pose_server.workers.run import run_job
+    from fleetpose.protocol import codec
+    from fleetpose.protocol.messages import View
 
     wires = (run.a.wires[0], run.b.wires[0])
     views = tuple(kept(wire) for wire in wires)
@@ -133,8 +132,8 @@ def _by_clicks(run: Run) -> Floats | None:
 
 def _motions(walk: Walk) -> list[Floats | None]:
     """T_before_now of each view, by aligning it with the one before; none where that fails."""
-    from pose_server.workers.jobs import Job
-    from pose_server.workers.run import run_job
+    from fleetpose.pose_server.workers.jobs import Job
+    from fleetpose.pose_server.workers.run import run_job
 
     motions: list[Floats | None] = [None]
     for before, now in zip(walk.wires, walk.wires[1:], strict=False):
@@ -150,14 +149,14 @@ def _carried(T_a_b: Floats | None, own_a: Floats | None, own_b: Floats | None) -
 
 
 def _starts(carried: Floats | None) -> tuple["Start", ...]:
-    from pose_server.registration.refinement import Start
+    from fleetpose.pose_server.registration.refinement import Start
 
     return () if carried is None else (Start("graph", carried, CARRIED_SIGMA),)
 
 
 def _aligned(run: Run, k: int, starts: Sequence["Start"]) -> tuple["PairResult", float]:
-    from pose_server.workers.jobs import Job
-    from pose_server.workers.run import run_job
+    from fleetpose.pose_server.workers.jobs import Job
+    from fleetpose.pose_server.workers.run import run_job
 
     job = Job("pair", encoded(run.a.wires[k]), encoded(run.b.wires[k]), tuple(starts))
     began = time.perf_counter()
@@ -166,7 +165,7 @@ def _aligned(run: Run, k: int, starts: Sequence["Start"]) -> tuple["PairResult",
 
 
 def _accepted_pose(result: "PairResult") -> Floats | None:
-    from pose_server.frontend.tracks import accepted
+    from fleetpose.pose_server.frontend.tracks import accepted
 
     return np.asarray(result.T_i_j, np.float64) if accepted(result) else None
 

@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-
-from evaluation.data.anonymize import random_name, strip
-from evaluation.data.parts import parts_of
-from evaluation.data.recording import Recording
-from evaluation.metrics.geometry import Floats
-from protocol.errors import DataFolderError
+from fleetpose.evaluation.data.anonymize import random_name, strip
+from fleetpose.evaluation.data.parts import parts_of
+from fleetpose.evaluation.data.recording import Recording
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.protocol.errors import DataFolderError
 
 if TYPE_CHECKING:
-    from robot_agent.cameras.base import Frame
+    from fleetpose.robot_agent.cameras.base import Frame
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ def recorded_walk(recording: Recording, robot: int, views: int, folder: Path) ->
     Raises:
         DataFolderError: the recording is no walk, or has too few frames.
     """
-    from robot_agent.cameras.factory import open_camera
+    from fleetpose.robot_agent.cameras.factory import open_camera
 
     if not recording.is_rgbd:
         raise DataFolderError(
@@ -62,8 +61,8 @@ def world_walk(separation_deg: float, seed: int, robot: int, views: int, folder:
     """What one of two robots sends that walk in the synthetic world, a view a second; runs in a
     worker.
     """
-    from evaluation.simulate.world import RingWorld
-    from robot_agent.cameras.stereo.matching import StereoMatcher
+    from fleetpose.evaluation.simulate.world import RingWorld
+    from fleetpose.robot_agent.cameras.stereo.matching import StereoMatcher
 
     world = RingWorld(2, separation_deg, seed=seed, moving=True)
     matcher = StereoMatcher(world.rig)
@@ -77,11 +76,11 @@ def world_walk(separation_deg: float, seed: int, robot: int, views: int, folder:
 
 
 def _sent(robot: str, frames: Sequence["Frame"], folder: Path) -> tuple[Path, ...]:
-    from protocol import codec
-    from protocol.keys import new_epoch
-    from protocol.messages import ViewName
-    from robot_agent.features.keypoints import salient_points
-    from robot_agent.features.packing import view_of
+    from fleetpose.protocol import codec
+    from fleetpose.protocol.keys import new_epoch
+    from fleetpose.protocol.messages import ViewName
+    from fleetpose.robot_agent.features.keypoints import salient_points
+    from fleetpose.robot_agent.features.packing import view_of
 
     epoch, wires = new_epoch(), []
     for seq, frame in enumerate(frames):

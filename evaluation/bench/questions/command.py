@@ -5,16 +5,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evaluation.bench.questions.play import Played, Task, play
-from evaluation.bench.questions.policies import POLICIES
-from evaluation.bench.questions.report import write_results
-from evaluation.bench.working import as_done, on_the_wire, worker_pool
-from evaluation.data.opening import median_depth_m, open_recording
-from evaluation.data.recording import CloudKind
-from evaluation.data.splits import split_of
-from evaluation.metrics.scoring import Limits
-from evaluation.report.output import output_folder, progress_bar
-from protocol.errors import DataFolderError
+from fleetpose.evaluation.bench.questions.play import Played, Task, play
+from fleetpose.evaluation.bench.questions.policies import POLICIES
+from fleetpose.evaluation.bench.questions.report import write_results
+from fleetpose.evaluation.bench.working import as_done, on_the_wire, worker_pool
+from fleetpose.evaluation.data.opening import median_depth_m, open_recording
+from fleetpose.evaluation.data.recording import CloudKind
+from fleetpose.evaluation.data.splits import split_of
+from fleetpose.evaluation.metrics.scoring import Limits
+from fleetpose.evaluation.report.output import output_folder, progress_bar
+from fleetpose.protocol.errors import DataFolderError
 
 
 @dataclass(frozen=True)

@@ -12,24 +12,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-
-from evaluation.bench.clicks.truth import true_pixels
-from evaluation.bench.clicks.worker import kept, with_wide
-from evaluation.bench.questions.policies import POLICIES
-from evaluation.bench.questions.server import FleetServer, RobotPair, named_pairs
-from evaluation.bench.ring.solving import connected
-from evaluation.data.opening import points_of
-from evaluation.data.recording import Recording, TrueView, are_partners
-from evaluation.metrics.geometry import Floats, inverse, transform
-from evaluation.metrics.scoring import Limits, position_error_m, rotation_error_deg
-from evaluation.simulate.mistakes import Sight, mistaken, sight_of
-from evaluation.simulate.operator import PICKS_LOOKED_AT, by_hand, far_apart
-from pose_server.questions.facts import questions
-from protocol import codec
-from protocol.messages import View
+from fleetpose.evaluation.bench.clicks.truth import true_pixels
+from fleetpose.evaluation.bench.clicks.worker import kept, with_wide
+from fleetpose.evaluation.bench.questions.policies import POLICIES
+from fleetpose.evaluation.bench.questions.server import FleetServer, RobotPair, named_pairs
+from fleetpose.evaluation.bench.ring.solving import connected
+from fleetpose.evaluation.data.opening import points_of
+from fleetpose.evaluation.data.recording import Recording, TrueView, are_partners
+from fleetpose.evaluation.metrics.geometry import Floats, inverse, transform
+from fleetpose.evaluation.metrics.scoring import Limits, position_error_m, rotation_error_deg
+from fleetpose.evaluation.simulate.mistakes import Sight, mistaken, sight_of
+from fleetpose.evaluation.simulate.operator import PICKS_LOOKED_AT, by_hand, far_apart
+from fleetpose.pose_server.questions.facts import questions
+from fleetpose.protocol import codec
+from fleetpose.protocol.messages import View
 
 if TYPE_CHECKING:
-    from pose_server.registration.verdict.evaluate import PairResult
+    from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 
 ROBOTS = (8, 12)
 ENOUGH_SHARED = 10  # points that both views see: a fair operator finds three of them
@@ -152,9 +151,9 @@ def aligned(wire_i: Path, wire_j: Path) -> "PairResult":
     file = wire_i.parent / f"{wire_i.stem}-{wire_j.stem}.aligned"
     if file.exists():
         return pickle.loads(file.read_bytes())
-    from pose_server.registration.align import is_settled
-    from pose_server.workers.jobs import Job
-    from pose_server.workers.run import run_job
+    from fleetpose.pose_server.registration.align import is_settled
+    from fleetpose.pose_server.workers.jobs import Job
+    from fleetpose.pose_server.workers.run import run_job
 
     i, j = kept(wire_i).encoded, kept(wire_j).encoded
     result = run_job(Job("pair", i, j))

@@ -4,11 +4,10 @@ from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
-
-from evaluation.bench.questions.server import FleetServer, RobotPair, named_pairs
-from hmi_client.model.matrix import default_threshold_m, is_shown
-from pose_server.messages.builders import pair_cells
-from pose_server.questions.facts import questions
+from fleetpose.evaluation.bench.questions.server import FleetServer, RobotPair, named_pairs
+from fleetpose.hmi_client.model.matrix import default_threshold_m, is_shown
+from fleetpose.pose_server.messages.builders import pair_cells
+from fleetpose.pose_server.questions.facts import questions
 
 Policy = Callable[[FleetServer, Counter[RobotPair], np.random.Generator], RobotPair | None]
 """Picks a pair, given how often each was visited; none if it has nothing to ask."""

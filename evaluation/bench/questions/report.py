@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-
-from evaluation.bench.questions.play import Played, Run
-from evaluation.data.splits import Split
-from evaluation.metrics.intervals import DRAWS, LEVEL
-from evaluation.metrics.scoring import share
-from evaluation.report.output import new_figure, print_table, write_csv, write_summary
+from fleetpose.evaluation.bench.questions.play import Played, Run
+from fleetpose.evaluation.data.splits import Split
+from fleetpose.evaluation.metrics.intervals import DRAWS, LEVEL
+from fleetpose.evaluation.metrics.scoring import share
+from fleetpose.evaluation.report.output import new_figure, print_table, write_csv, write_summary
 
 Floats = npt.NDArray[np.floating]
 

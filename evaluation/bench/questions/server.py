@@ -5,17 +5,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-
-from evaluation.bench.offline.server import SESSION, OfflineServer
-from evaluation.bench.pairs.worker import of_wide
-from evaluation.metrics.geometry import Floats
-from pose_server import pipeline
-from pose_server.workers.jobs import Done, Job
-from protocol.keys import ordered_pair
-from protocol.messages import OperatorUpdate, Selection
+from fleetpose.evaluation.bench.offline.server import SESSION, OfflineServer
+from fleetpose.evaluation.bench.pairs.worker import of_wide
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.workers.jobs import Done, Job
+from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.messages import OperatorUpdate, Selection
 
 if TYPE_CHECKING:
-    from pose_server.registration.verdict.evaluate import PairResult
+    from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 
 OPERATOR = "op-simulated"
 RobotPair = tuple[str, str]

@@ -7,21 +7,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from evaluation.bench.clicks.click_noise import wrong_of
-from evaluation.bench.clicks.rows import ClickRow, click_row, named
-from evaluation.bench.clicks.truth import true_pixels
-from evaluation.bench.clicks.worker import ClickedAnswer, Plan, Recipe, Task, run_task
-from evaluation.bench.ring.layout import Ring, rings_of
-from evaluation.bench.ring.report import RingRow, ring_row, write_results, write_summaries
-from evaluation.bench.ring.scene import ring_scene
-from evaluation.bench.ring.solving import Pair, Solved, solve_ring
-from evaluation.bench.working import as_done, on_the_wire, worker_pool
-from evaluation.data.opening import median_depth_m, open_recording
-from evaluation.data.recording import CloudKind, TrueView, shared_tracks
-from evaluation.metrics.scoring import Limits
-from evaluation.report.output import output_folder, progress_bar
-from pose_server.mapping.scene import Scene
-from protocol.errors import FleetPoseError
+from fleetpose.evaluation.bench.clicks.click_noise import wrong_of
+from fleetpose.evaluation.bench.clicks.rows import ClickRow, click_row, named
+from fleetpose.evaluation.bench.clicks.truth import true_pixels
+from fleetpose.evaluation.bench.clicks.worker import ClickedAnswer, Plan, Recipe, Task, run_task
+from fleetpose.evaluation.bench.ring.layout import Ring, rings_of
+from fleetpose.evaluation.bench.ring.report import RingRow, ring_row, write_results, write_summaries
+from fleetpose.evaluation.bench.ring.scene import ring_scene
+from fleetpose.evaluation.bench.ring.solving import Pair, Solved, solve_ring
+from fleetpose.evaluation.bench.working import as_done, on_the_wire, worker_pool
+from fleetpose.evaluation.data.opening import median_depth_m, open_recording
+from fleetpose.evaluation.data.recording import CloudKind, TrueView, shared_tracks
+from fleetpose.evaluation.metrics.scoring import Limits
+from fleetpose.evaluation.report.output import output_folder, progress_bar
+from fleetpose.pose_server.mapping.scene import Scene
+from fleetpose.protocol.errors import FleetPoseError
 
 RecipeOption = Literal["paper", "full", "both"]
 Answers = dict[tuple[Pair, int, int], ClickedAnswer]
@@ -104,7 +104,7 @@ def run(options: RingOptions, out: Path) -> dict[str, Any]:
 
 
 def _draw(scene: Scene, ring: Ring, path: Path) -> None:
-    from pose_server.mapping.picture import draw  # matplotlib takes a while
+    from fleetpose.pose_server.mapping.picture import draw  # matplotlib takes a while
 
     draw(scene, path, f"neighbours {ring.separation_deg:.3g} deg apart, no clicks")
 

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from evaluation.bench.ring.statements import statements
-from evaluation.metrics.geometry import Floats
-from evaluation.report.output import new_figure
+from fleetpose.evaluation.bench.ring.statements import statements
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.report.output import new_figure
 
 RECIPES = ("full", "paper")
 """Recipes that are drawn, from top to bottom."""

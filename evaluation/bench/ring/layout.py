@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-
-from evaluation.data.recording import Recording, TrueView, are_partners
-from evaluation.metrics.geometry import Floats
-from evaluation.metrics.scoring import optical_angle_deg
-from protocol.errors import DataFolderError
+from fleetpose.evaluation.data.recording import Recording, TrueView, are_partners
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.metrics.scoring import optical_angle_deg
+from fleetpose.protocol.errors import DataFolderError
 
 WIDEST_DEG = 46.5
 """The paper's rings go to 45 degrees; steps of 7.66 degrees meet that at 46."""

@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from evaluation.bench.clicks.rows import ClickRow, write_rows
-from evaluation.bench.ring.figures import RECIPES, plot_error_and_success, plot_times
-from evaluation.bench.ring.layout import Ring
-from evaluation.bench.ring.solving import Solved
-from evaluation.bench.ring.statements import THREE, statements
-from evaluation.metrics.scoring import percentile, share
-from evaluation.report.output import print_table, write_csv, write_summary
+from fleetpose.evaluation.bench.clicks.rows import ClickRow, write_rows
+from fleetpose.evaluation.bench.ring.figures import RECIPES, plot_error_and_success, plot_times
+from fleetpose.evaluation.bench.ring.layout import Ring
+from fleetpose.evaluation.bench.ring.solving import Solved
+from fleetpose.evaluation.bench.ring.statements import THREE, statements
+from fleetpose.evaluation.metrics.scoring import percentile, share
+from fleetpose.evaluation.report.output import print_table, write_csv, write_summary
 
 _SLACK = 0.001  # of the median depth: errors far below what clouds can tell are equal
 
@@ -113,7 +112,7 @@ def write_results(
         "statements": [asdict(statement) for statement in said],
     }
     if recipe == "paper":
-        from pose_server.geometry.icp import has_open3d
+        from fleetpose.pose_server.geometry.icp import has_open3d
 
         summary["icp"] = "open3d" if has_open3d() else "small_gicp"
     if wrong:

@@ -7,19 +7,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-
-from evaluation.bench.clicks.worker import ClickedAnswer, kept
-from evaluation.bench.ring.layout import Ring
-from evaluation.bench.ring.solving import Pair, connected, solution_of
-from pose_server.frontend.frames import in_fleet
-from pose_server.geometry.se3 import position_covariance
-from pose_server.mapping.located import PlacedView, map_of_views
-from pose_server.mapping.scene import MapCamera, MapLink, Scene, corners_of
-from pose_server.pose_graph.types import FleetSolution
-from protocol.messages import ROBOT_FROM_CAMERA, Verdict, ViewName
+from fleetpose.evaluation.bench.clicks.worker import ClickedAnswer, kept
+from fleetpose.evaluation.bench.ring.layout import Ring
+from fleetpose.evaluation.bench.ring.solving import Pair, connected, solution_of
+from fleetpose.pose_server.frontend.frames import in_fleet
+from fleetpose.pose_server.geometry.se3 import position_covariance
+from fleetpose.pose_server.mapping.located import PlacedView, map_of_views
+from fleetpose.pose_server.mapping.scene import MapCamera, MapLink, Scene, corners_of
+from fleetpose.pose_server.pose_graph.types import FleetSolution
+from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, Verdict, ViewName
 
 if TYPE_CHECKING:
-    from pose_server.state.views import KeptView
+    from fleetpose.pose_server.state.views import KeptView
 
 
 def ring_scene(

@@ -10,18 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-
-from evaluation.bench.clicks.worker import ClickedAnswer
-from evaluation.data.anonymize import distinct_names
-from evaluation.data.recording import TrueView
-from evaluation.metrics.geometry import Floats, inverse
-from evaluation.metrics.scoring import position_error_m
-from pose_server.correspondences.on_keyframes import contradicts
-from pose_server.geometry.point_pairs import PointPairs
-from pose_server.pose_graph.graph import solve_fleet
-from pose_server.pose_graph.types import ClickFactor, Edge, FleetSolution, SolveSettings
-from protocol.keys import new_epoch
-from protocol.messages import ViewName
+from fleetpose.evaluation.bench.clicks.worker import ClickedAnswer
+from fleetpose.evaluation.data.anonymize import distinct_names
+from fleetpose.evaluation.data.recording import TrueView
+from fleetpose.evaluation.metrics.geometry import Floats, inverse
+from fleetpose.evaluation.metrics.scoring import position_error_m
+from fleetpose.pose_server.correspondences.on_keyframes import contradicts
+from fleetpose.pose_server.geometry.point_pairs import PointPairs
+from fleetpose.pose_server.pose_graph.graph import solve_fleet
+from fleetpose.pose_server.pose_graph.types import ClickFactor, Edge, FleetSolution, SolveSettings
+from fleetpose.protocol.keys import new_epoch
+from fleetpose.protocol.messages import ViewName
 
 _PAPER_SIGMA = 0.01
 """Of the edges of answers without a covariance: share of the depth, and radians."""

@@ -2,11 +2,11 @@
 plans of alike parts that fool.
 """
 
-from evaluation.simulate.world.plans.planned import PLANS, PlanWorld
-from evaluation.simulate.world.render import Renderer, Rendering
-from evaluation.simulate.world.ring import RingWorld, ring_rig
-from evaluation.simulate.world.robots import StereoShot, World
-from evaluation.simulate.world.town import town_square
+from fleetpose.evaluation.simulate.world.plans.planned import PLANS, PlanWorld
+from fleetpose.evaluation.simulate.world.render import Renderer, Rendering
+from fleetpose.evaluation.simulate.world.ring import RingWorld, ring_rig
+from fleetpose.evaluation.simulate.world.robots import StereoShot, World
+from fleetpose.evaluation.simulate.world.town import town_square
 
 __all__ = [
     "PLANS",

@@ -8,9 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-
-from evaluation.simulate.world.materials.textures import Rng, Texture
-from evaluation.simulate.world.render import Floats, Quad
+from fleetpose.evaluation.simulate.world.materials.textures import Rng, Texture
+from fleetpose.evaluation.simulate.world.render import Floats, Quad
 
 SUN = np.array((0.55, -0.42, 0.72))
 """Unit vector towards the sun."""

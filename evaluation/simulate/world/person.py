@@ -1,9 +1,8 @@
 """Somebody who walks to and fro on the square, as high as a person and with a pattern on."""
 
 import numpy as np
-
-from evaluation.simulate.world.materials.facades import poster
-from evaluation.simulate.world.render import Floats, Quad
+from fleetpose.evaluation.simulate.world.materials.facades import poster
+from fleetpose.evaluation.simulate.world.render import Floats, Quad
 
 _SIZE_M = (0.55, 0.4, 1.75)  # across the way they look, along it, upright
 _RADIUS_M = 5.9  # from the middle of the square: nothing else is there

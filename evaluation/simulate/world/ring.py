@@ -6,13 +6,18 @@ import itertools
 from collections.abc import Collection
 
 import numpy as np
-
-from evaluation.simulate.world.person import Person
-from evaluation.simulate.world.render import Floats, Renderer
-from evaluation.simulate.world.robots import World, index_of, rig_with, robot_names, standing
-from evaluation.simulate.world.town import town_square
-from protocol.errors import FleetPoseError
-from robot_agent.cameras.stereo.rig import StereoRig
+from fleetpose.evaluation.simulate.world.person import Person
+from fleetpose.evaluation.simulate.world.render import Floats, Renderer
+from fleetpose.evaluation.simulate.world.robots import (
+    World,
+    index_of,
+    rig_with,
+    robot_names,
+    standing,
+)
+from fleetpose.evaluation.simulate.world.town import town_square
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
 
 BASELINE_SHARE = 0.05
 MAX_SEPARATION_DEG = 45.0

@@ -5,11 +5,10 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-
-from evaluation.simulate.world.render import Floats, Image, Renderer
-from protocol.errors import FleetPoseError
-from robot_agent.cameras.stereo.rig import StereoRig
-from robot_agent.cameras.synthetic import mount
+from fleetpose.evaluation.simulate.world.render import Floats, Image, Renderer
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
+from fleetpose.robot_agent.cameras.synthetic import mount
 
 WIDTH, HEIGHT = 640, 480
 HFOV_DEG = 62.0

@@ -8,14 +8,20 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-
-from evaluation.simulate.world.build import SUN, Builder, polar, rectangle, regular
-from evaluation.simulate.world.materials import textures
-from evaluation.simulate.world.materials.colours import COPPER, RED_TILES, SLATE
-from evaluation.simulate.world.materials.facades import Style
-from evaluation.simulate.world.materials.paints import bare, cloth, crate, dressed, pasted, tiles
-from evaluation.simulate.world.materials.textures import Rng, Texture
-from evaluation.simulate.world.render import Floats, Renderer
+from fleetpose.evaluation.simulate.world.build import SUN, Builder, polar, rectangle, regular
+from fleetpose.evaluation.simulate.world.materials import textures
+from fleetpose.evaluation.simulate.world.materials.colours import COPPER, RED_TILES, SLATE
+from fleetpose.evaluation.simulate.world.materials.facades import Style
+from fleetpose.evaluation.simulate.world.materials.paints import (
+    bare,
+    cloth,
+    crate,
+    dressed,
+    pasted,
+    tiles,
+)
+from fleetpose.evaluation.simulate.world.materials.textures import Rng, Texture
+from fleetpose.evaluation.simulate.world.render import Floats, Renderer
 
 RIM_PX_PER_M = 32.0
 GROUND_PX_PER_M = 60.0

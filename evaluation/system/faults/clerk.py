@@ -11,16 +11,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from evaluation.system.faults.clicker import Click
-from hmi_client.model.session import OperatorSession
-from hmi_client.network.client import Client
-from hmi_client.network.update_log import KeptUpdates
-from protocol import codec
-from protocol.errors import CodecError
-from protocol.keys import Keys
-from protocol.logs import log_to_stderr
-from protocol.messages import PairCorrespondences, Receipts, ViewName
-from protocol.transport import Link, Sample, SessionSettings, open_session
+from fleetpose.evaluation.system.faults.clicker import Click
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.network.client import Client
+from fleetpose.hmi_client.network.update_log import KeptUpdates
+from fleetpose.protocol import codec
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.logs import log_to_stderr
+from fleetpose.protocol.messages import PairCorrespondences, Receipts, ViewName
+from fleetpose.protocol.transport import Link, Sample, SessionSettings, open_session
 
 OPERATOR = "op-desk"
 PERIOD_S = 0.25
@@ -145,7 +145,7 @@ def work(endpoint: str, site: str, kept: Path, places: Path, pause: Path) -> Non
 
 
 def main() -> None:
-    """`python -m evaluation.system.faults.clerk ENDPOINT SITE KEPT PLACES PAUSE`."""
+    """Arguments ENDPOINT SITE KEPT PLACES PAUSE."""
     endpoint, site, *files = sys.argv[1:]
     log_to_stderr()
     work(endpoint, site, *(Path(file) for file in files))

@@ -8,15 +8,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-
-from evaluation.metrics.geometry import Floats
-from evaluation.system.observer import SeenView
-from hmi_client.network.outbox import Outbox, Ticket
-from protocol import codec
-from protocol.errors import CodecError
-from protocol.keys import Keys
-from protocol.messages import Correspondence, OperatorUpdate, PairCorrespondences, Receipts
-from protocol.transport import Link, Sample, wait_until
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.system.observer import SeenView
+from fleetpose.hmi_client.network.outbox import Outbox, Ticket
+from fleetpose.protocol import codec
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import (
+    Correspondence,
+    OperatorUpdate,
+    PairCorrespondences,
+    Receipts,
+)
+from fleetpose.protocol.transport import Link, Sample, wait_until
 
 REPEAT_S = 0.5
 MAX_OPEN = 40  # a person does not click on for ever while nothing is confirmed

@@ -7,10 +7,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from evaluation.report.output import output_folder, print_table, progress_bar, write_summary
-from evaluation.system.faults import crashes, frozen, inject, late
-from evaluation.system.faults.inject import ROBOTS
-from protocol.errors import FleetPoseError
+from fleetpose.evaluation.report.output import (
+    output_folder,
+    print_table,
+    progress_bar,
+    write_summary,
+)
+from fleetpose.evaluation.system.faults import crashes, frozen, inject, late
+from fleetpose.evaluation.system.faults.inject import ROBOTS
+from fleetpose.protocol.errors import FleetPoseError
 
 Scenario = Callable[[Path, Path, Callable[[], None]], dict[str, Any]]
 

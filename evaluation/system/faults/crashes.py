@@ -12,16 +12,15 @@ from typing import Any
 
 import numpy as np
 import psutil
-
-from deploy.local_fleet import LocalFleet, wait_running
-from evaluation.report.output import write_csv
-from evaluation.system.faults.clerk import Ledger
-from evaluation.system.faults.clicker import Clicker, Places
-from evaluation.system.fleet import FleetPlan, open_link, plan_world, start, wait_started
-from evaluation.system.observer import Observer
-from protocol.errors import FleetPoseError
-from protocol.keys import Keys
-from protocol.transport import wait_until
+from fleetpose.deploy.local_fleet import LocalFleet, wait_running
+from fleetpose.evaluation.report.output import write_csv
+from fleetpose.evaluation.system.faults.clerk import Ledger
+from fleetpose.evaluation.system.faults.clicker import Clicker, Places
+from fleetpose.evaluation.system.fleet import FleetPlan, open_link, plan_world, start, wait_started
+from fleetpose.evaluation.system.observer import Observer
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.transport import wait_until
 
 ROBOTS = 3
 CLICKS_PER_S = 60.0
@@ -137,7 +136,7 @@ def _start_desk(fleet: LocalFleet, places: list[Places], scratch: Path, pause: P
     file.write_text(json.dumps(pairs))
     files = (scratch / "updates.sqlite", file, pause)
     where = (fleet.endpoint, fleet.site, *(str(path) for path in files))
-    fleet.start(_DESK, "evaluation.system.faults.clerk", *where, json_lines=True)
+    fleet.start(_DESK, "fleetpose.evaluation.system.faults.clerk", *where, json_lines=True)
 
 
 def _longest(noted: list[Kill], target: str) -> float | None:

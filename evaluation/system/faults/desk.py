@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from deploy.local_fleet import LocalFleet, wait_running
-from evaluation.system.fleet import (
+from fleetpose.deploy.local_fleet import LocalFleet, wait_running
+from fleetpose.evaluation.system.fleet import (
     FleetPlan,
     open_link,
     plan_world,
@@ -19,12 +19,12 @@ from evaluation.system.fleet import (
     start,
     wait_started,
 )
-from evaluation.system.observer import Observer, SeenView
-from hmi_client.model.session import OperatorSession
-from hmi_client.network.client import Client
-from protocol.errors import FleetPoseError
-from protocol.keys import Keys
-from protocol.transport import Link, SessionSettings, open_session, wait_until
+from fleetpose.evaluation.system.observer import Observer, SeenView
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.network.client import Client
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.transport import Link, SessionSettings, open_session, wait_until
 
 RATE_HZ = 5.0
 MIN_PLACES = 60
@@ -43,7 +43,7 @@ def replayed_fleet(
     with LocalFleet(logs) as fleet:
         start(fleet, FleetPlan((), plan.truth, plan.world), 2, scratch / "state")
         options = ("load", *fleet.connection, *replay_arguments(plan, RATE_HZ, frames=4))
-        fleet.start("load", "evaluation", *options)
+        fleet.start("load", "fleetpose.evaluation", *options)
         link = open_link(fleet)
         observer = Observer(link, Keys(fleet.site))
         try:

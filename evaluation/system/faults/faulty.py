@@ -12,15 +12,14 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-
-from protocol.errors import FleetPoseError
-from protocol.logs import log_to_stderr
-from protocol.transport import SessionSettings
-from robot_agent.agent import paced
-from robot_agent.cameras.base import DepthImage, DisparityImage, Frame
-from robot_agent.cameras.synthetic import SyntheticCamera, WorldLink
-from robot_agent.client import FleetRobot
-from robot_agent.sender import SenderSettings
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.logs import log_to_stderr
+from fleetpose.protocol.transport import SessionSettings
+from fleetpose.robot_agent.agent import paced
+from fleetpose.robot_agent.cameras.base import DepthImage, DisparityImage, Frame
+from fleetpose.robot_agent.cameras.synthetic import SyntheticCamera, WorldLink
+from fleetpose.robot_agent.client import FleetRobot
+from fleetpose.robot_agent.sender import SenderSettings
 
 SKEW_MS = 200
 CLOCK_AHEAD_S = 3.0
@@ -97,7 +96,7 @@ def flipped(frames: Iterator[Frame]) -> Iterator[Frame]:
 
 
 def main() -> None:
-    """`python -m evaluation.system.faults.faulty NAME ENDPOINT SITE SOURCE FAULT RATE`."""
+    """Arguments NAME ENDPOINT SITE SOURCE FAULT RATE."""
     name, endpoint, site, source, fault, rate = sys.argv[1:]
     log_to_stderr()
     cv2.setNumThreads(1)

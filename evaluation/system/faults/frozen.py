@@ -10,11 +10,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from deploy.local_fleet import LocalFleet, wait_running
-from evaluation.system.faults.desk import Pair, clickable_pairs, operator, replayed_fleet
-from hmi_client.model.session import OperatorSession
-from protocol.errors import FleetPoseError
-from protocol.transport import wait_until
+from fleetpose.deploy.local_fleet import LocalFleet, wait_running
+from fleetpose.evaluation.system.faults.desk import Pair, clickable_pairs, operator, replayed_fleet
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.transport import wait_until
 
 ROBOTS = 4
 BEFORE_S = 10.0
@@ -81,7 +81,7 @@ def run(seconds: float, scratch: Path, logs: Path, progress: Callable[[], None])
     """
     with replayed_fleet(ROBOTS, scratch, logs) as (fleet, plan, _, observer):
         pair = clickable_pairs(fleet, plan, observer)[0]
-        module = "evaluation.system.faults.desk"
+        module = "fleetpose.evaluation.system.faults.desk"
         where = ("op-frozen", fleet.endpoint, fleet.site)
         fleet.start(_READER, module, *where, *pair, json_lines=True)
         with operator("op-awake", fleet.endpoint, fleet.site, pair) as session:

@@ -10,12 +10,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from deploy.local_fleet import LocalFleet, wait_running
-from evaluation.metrics.fleet_scoring import SampleRow, score_sample, summarize_poses
-from evaluation.metrics.scoring import Limits, share
-from evaluation.report.output import write_csv
-from evaluation.system.faults.faulty import CLOCK_AHEAD_S
-from evaluation.system.faults.troubles import (
+from fleetpose.deploy.local_fleet import LocalFleet, wait_running
+from fleetpose.evaluation.metrics.fleet_scoring import SampleRow, score_sample, summarize_poses
+from fleetpose.evaluation.metrics.scoring import Limits, share
+from fleetpose.evaluation.report.output import write_csv
+from fleetpose.evaluation.system.faults.faulty import CLOCK_AHEAD_S
+from fleetpose.evaluation.system.faults.troubles import (
     FAULTY,
     Carried,
     CarriedOne,
@@ -28,7 +28,7 @@ from evaluation.system.faults.troubles import (
     Trouble,
     places_for,
 )
-from evaluation.system.fleet import (
+from fleetpose.evaluation.system.fleet import (
     FleetPlan,
     open_link,
     plan_world,
@@ -37,11 +37,11 @@ from evaluation.system.fleet import (
     start_servers,
     wait_started,
 )
-from evaluation.system.observer import Observer
-from protocol.errors import FleetPoseError
-from protocol.keys import Keys
-from protocol.messages import ViewName
-from protocol.transport import wait_until
+from fleetpose.evaluation.system.observer import Observer
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import ViewName
+from fleetpose.protocol.transport import wait_until
 
 ROBOTS = 4
 SECONDS = 50.0
@@ -205,7 +205,7 @@ def _start_robots(name: str, fault: Fault, trouble: Trouble) -> None:
             trouble.start(replace(robot, rate_hz=_RATE_HZ))
         else:
             where = (FAULTY, fleet.endpoint, fleet.site, robot.data, name, str(_RATE_HZ))
-            fleet.start(FAULTY, "evaluation.system.faults.faulty", *where, nice=10)
+            fleet.start(FAULTY, "fleetpose.evaluation.system.faults.faulty", *where, nice=10)
 
 
 @dataclass

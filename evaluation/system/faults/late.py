@@ -10,16 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from deploy.local_fleet import LocalFleet, wait_running
-from evaluation.system.faults.desk import Pair, clickable_pairs, operator, replayed_fleet
-from evaluation.system.fleet import FleetPlan
-from evaluation.system.observer import Observer, SeenView
-from hmi_client.model.session import OperatorSession
-from hmi_client.network.outbox import Ticket
-from protocol.errors import FleetPoseError
-from protocol.messages import ViewName
-from protocol.transport import wait_until
+from fleetpose.deploy.local_fleet import LocalFleet, wait_running
+from fleetpose.evaluation.system.faults.desk import Pair, clickable_pairs, operator, replayed_fleet
+from fleetpose.evaluation.system.fleet import FleetPlan
+from fleetpose.evaluation.system.observer import Observer, SeenView
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.network.outbox import Ticket
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.messages import ViewName
+from fleetpose.protocol.transport import wait_until
 
 ROBOTS = 5
 DESKS = 10

@@ -16,15 +16,14 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from protocol.errors import FleetPoseError
-from protocol.logs import log_to_stderr
-from protocol.transport import SessionSettings
-from robot_agent.agent import paced
-from robot_agent.cameras.base import Frame
-from robot_agent.cameras.synthetic import SyntheticCamera, WorldLink
-from robot_agent.client import FleetRobot
-from robot_agent.sender import SenderSettings
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.logs import log_to_stderr
+from fleetpose.protocol.transport import SessionSettings
+from fleetpose.robot_agent.agent import paced
+from fleetpose.robot_agent.cameras.base import Frame
+from fleetpose.robot_agent.cameras.synthetic import SyntheticCamera, WorldLink
+from fleetpose.robot_agent.client import FleetRobot
+from fleetpose.robot_agent.sender import SenderSettings
 
 CLOCK_BACK_S = 60.0
 SPEED_M_S = 0.5
@@ -129,7 +128,7 @@ def _push(robot: FleetRobot, shown: Shown) -> None:
 
 
 def main() -> None:
-    """`python -m evaluation.system.faults.troubled TROUBLE NAME ENDPOINT SITE RATE SOURCE...`."""
+    """Arguments TROUBLE NAME ENDPOINT SITE RATE SOURCE...."""
     kind, name, endpoint, site, rate, *sources = sys.argv[1:]
     if kind not in TROUBLES:
         raise FleetPoseError(f"no trouble '{kind}': there are {', '.join(TROUBLES)}")

@@ -11,19 +11,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-
-from deploy.local_fleet import LocalFleet, wait_running
-from evaluation.metrics.geometry import Floats, rigid
-from evaluation.system.faults.troubled import CLOCK_BACK_S
-from evaluation.system.fleet import FleetPlan, RobotPlan, plan_world, start_robot
-from evaluation.system.observer import Believed, Observer, SeenPose, SeenView
-from evaluation.system.truth import Truth, WorldTruth
-from protocol.codec import encoding_of, pack
-from protocol.errors import FleetPoseError
-from protocol.keys import Keys
-from protocol.messages import RobotPose, ViewName
-from protocol.transport import Link, Publisher, SessionSettings
-from robot_agent.client import FleetRobot
+from fleetpose.deploy.local_fleet import LocalFleet, wait_running
+from fleetpose.evaluation.metrics.geometry import Floats, rigid
+from fleetpose.evaluation.system.faults.troubled import CLOCK_BACK_S
+from fleetpose.evaluation.system.fleet import FleetPlan, RobotPlan, plan_world, start_robot
+from fleetpose.evaluation.system.observer import Believed, Observer, SeenPose, SeenView
+from fleetpose.evaluation.system.truth import Truth, WorldTruth
+from fleetpose.protocol.codec import encoding_of, pack
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import RobotPose, ViewName
+from fleetpose.protocol.transport import Link, Publisher, SessionSettings
+from fleetpose.robot_agent.client import FleetRobot
 
 FAULTY = "r2"
 FORGED_EPOCH = "badbadbadbad"
@@ -107,7 +106,7 @@ class Signalled(Trouble):
     def start(self, robot: RobotPlan) -> None:
         sources = [robot.data, self.elsewhere(robot, self.away).data]
         arguments = (robot.name, self.fleet.endpoint, self.fleet.site, str(robot.rate_hz), *sources)
-        module = "evaluation.system.faults.troubled"
+        module = "fleetpose.evaluation.system.faults.troubled"
         self.fleet.start(robot.name, module, self.kind, *arguments, nice=10, json_lines=True)
 
     def begin(self) -> None:
@@ -205,7 +204,7 @@ class Carried(Trouble):
         folder.mkdir()
         places = [f"r{k + 1}" for k in range(places_for(len(self.plan.robots)))]
         self._there = there = plan_world(places, folder, moving=False, seed=_OTHER_SEED)
-        self.fleet.start("other world", "evaluation", *there.world)
+        self.fleet.start("other world", "fleetpose.evaluation", *there.world)
         assert isinstance(there.truth, WorldTruth)
         _wait(self.fleet, there.truth.is_there, "the other world")
         for robot in there.robots[: len(self.plan.robots)]:

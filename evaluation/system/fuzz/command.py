@@ -16,17 +16,21 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
-
-from deploy.local_fleet import LocalFleet, wait_running
-from evaluation.report.output import output_folder, print_table, progress_bar, write_summary
-from evaluation.system.faults.clicker import Clicker, Places
-from evaluation.system.fleet import FleetPlan, open_link, plan_world, start, wait_started
-from evaluation.system.fuzz.state import Ear, Told, changes, fingerprint
-from evaluation.system.fuzz.targets import OPERATOR, Target, targets_of
-from evaluation.system.observer import Observer, SeenView
-from protocol.errors import FleetPoseError
-from protocol.keys import Keys
-from protocol.transport import Link, Sample, wait_until
+from fleetpose.deploy.local_fleet import LocalFleet, wait_running
+from fleetpose.evaluation.report.output import (
+    output_folder,
+    print_table,
+    progress_bar,
+    write_summary,
+)
+from fleetpose.evaluation.system.faults.clicker import Clicker, Places
+from fleetpose.evaluation.system.fleet import FleetPlan, open_link, plan_world, start, wait_started
+from fleetpose.evaluation.system.fuzz.state import Ear, Told, changes, fingerprint
+from fleetpose.evaluation.system.fuzz.targets import OPERATOR, Target, targets_of
+from fleetpose.evaluation.system.observer import Observer, SeenView
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.transport import Link, Sample, wait_until
 
 ROBOTS = 3
 CLICKS = 8
@@ -134,7 +138,7 @@ def _fuzz(fleet: LocalFleet, scratch: Path, messages: int, chance: random.Random
         _click(fleet, plan, observer, link, keys)
         robots = (plan.names[0], plan.names[1])
         where = (fleet.endpoint, fleet.site, OPERATOR, *robots)
-        fleet.start("client", "evaluation.system.fuzz.watching", *where, json_lines=True)
+        fleet.start("client", "fleetpose.evaluation.system.fuzz.watching", *where, json_lines=True)
         told = _settled(fleet, observer, link, keys, scratch, ear, robots)
         targets = targets_of(keys, list(plan.names), ear.heard())
         journal = scratch / "state" / "journal.sqlite3"

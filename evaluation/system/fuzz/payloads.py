@@ -12,9 +12,8 @@ from typing import Any
 import msgpack
 import numpy as np
 import zstandard
-
-from protocol.messages.base import MAX_MESSAGE_BYTES
-from protocol.transport import Sample
+from fleetpose.protocol.messages.base import MAX_MESSAGE_BYTES
+from fleetpose.protocol.transport import Sample
 
 Maker = Callable[[random.Random, Sample], Sample]
 _JUNK: tuple[Any, ...] = (

@@ -6,12 +6,12 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from evaluation.system.observer import Observer
-from hmi_client.network.message_decoder import opened
-from protocol.errors import FleetPoseError
-from protocol.keys import Keys
-from protocol.messages import PairCorrespondences, Receipts, RobotPose
-from protocol.transport import Link, Sample
+from fleetpose.evaluation.system.observer import Observer
+from fleetpose.hmi_client.network.message_decoder import opened
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import PairCorrespondences, Receipts, RobotPose
+from fleetpose.protocol.transport import Link, Sample
 
 Fingerprint = dict[str, Any]
 _TABLES = ("correspondences", "pairs", "sessions", "rejections")

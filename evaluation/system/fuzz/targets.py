@@ -8,14 +8,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-
-from evaluation.system.fuzz.payloads import IMAGE_KINDS, MESSAGE_KINDS, VIEW_KINDS, Maker
-from hmi_client.network.message_decoder import opened, picture_in
-from pose_server.state.views import open_view
-from protocol.codec import encoding_of, pack, unpack
-from protocol.errors import CodecError, FleetPoseError
-from protocol.keys import Keys, new_epoch
-from protocol.messages import (
+from fleetpose.evaluation.system.fuzz.payloads import IMAGE_KINDS, MESSAGE_KINDS, VIEW_KINDS, Maker
+from fleetpose.hmi_client.network.message_decoder import opened, picture_in
+from fleetpose.pose_server.state.views import open_view
+from fleetpose.protocol.codec import encoding_of, pack, unpack
+from fleetpose.protocol.errors import CodecError, FleetPoseError
+from fleetpose.protocol.keys import Keys, new_epoch
+from fleetpose.protocol.messages import (
     CameraAnnouncement,
     Odometry,
     OperatorUpdate,
@@ -23,8 +22,8 @@ from protocol.messages import (
     Selection,
     ViewName,
 )
-from protocol.messages.base import Message
-from protocol.transport import Sample
+from fleetpose.protocol.messages.base import Message
+from fleetpose.protocol.transport import Sample
 
 OPERATOR = "op-fuzz"
 STRANGERS = 256

@@ -1,17 +1,17 @@
 """An operator's client without a screen, as a process: selects a pair so that images come, decodes
 them as the screen does, and prints what it drops.
 
-`python -m evaluation.system.fuzz.watching ENDPOINT SITE OPERATOR ROBOT ROBOT`
+`python -m fleetpose.evaluation.system.fuzz.watching ENDPOINT SITE OPERATOR ROBOT ROBOT`
 """
 
 import json
 import sys
 import time
 
-from hmi_client.cli.connection import Connection
-from hmi_client.cli.reports import Watcher
-from hmi_client.errors import PictureError
-from hmi_client.model.picture_decoder import decoded
+from fleetpose.hmi_client.cli.connection import Connection
+from fleetpose.hmi_client.cli.reports import Watcher
+from fleetpose.hmi_client.errors import PictureError
+from fleetpose.hmi_client.model.picture_decoder import decoded
 
 
 def main(endpoint: str, site: str, operator: str, a: str, b: str) -> None:

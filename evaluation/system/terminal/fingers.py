@@ -7,14 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-
-from evaluation.metrics.geometry import Floats
-from evaluation.system.observer import Observer, SeenView
-from evaluation.system.terminal.interruption import Interruption
-from evaluation.system.terminal.reading import ShownImage, images_on
-from evaluation.system.terminal.tmux import Terminal
-from evaluation.system.truth import Truth
-from protocol.errors import FleetPoseError
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.system.observer import Observer, SeenView
+from fleetpose.evaluation.system.terminal.interruption import Interruption
+from fleetpose.evaluation.system.terminal.reading import ShownImage, images_on
+from fleetpose.evaluation.system.terminal.tmux import Terminal
+from fleetpose.evaluation.system.truth import Truth
+from fleetpose.protocol.errors import FleetPoseError
 
 Place = Sequence[float] | Floats
 

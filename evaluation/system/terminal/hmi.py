@@ -7,13 +7,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from deploy.local_fleet import LocalFleet
-from evaluation.metrics.scoring import percentile
-from evaluation.report.output import output_folder, print_table, progress_bar, write_summary
-from evaluation.system.terminal.meter import Metered
-from evaluation.system.terminal.picking import Picker
-from evaluation.system.terminal.tmux import Terminal
-from protocol.errors import FleetPoseError
+from fleetpose.deploy.local_fleet import LocalFleet
+from fleetpose.evaluation.metrics.scoring import percentile
+from fleetpose.evaluation.report.output import (
+    output_folder,
+    print_table,
+    progress_bar,
+    write_summary,
+)
+from fleetpose.evaluation.system.terminal.meter import Metered
+from fleetpose.evaluation.system.terminal.picking import Picker
+from fleetpose.evaluation.system.terminal.tmux import Terminal
+from fleetpose.protocol.errors import FleetPoseError
 
 START_S = 30.0
 KEY_EVERY_S = 0.4
@@ -61,7 +66,7 @@ def run(options: HmiOptions, out: Path) -> dict[str, Any]:
         fleet.start_router()
         moving = ["--moving"] if options.moving else []
         told = ["--robots", str(options.robots), "--notes", str(notes), *moving]
-        fleet.start(STAND_IN, "evaluation", STAND_IN, *fleet.connection, *told)
+        fleet.start(STAND_IN, "fleetpose.evaluation", STAND_IN, *fleet.connection, *told)
         cost = _measured(fleet, options)
         by_keys = _picked(fleet, options, notes, by_mouse=False)
         by_mouse = _picked(fleet, options, notes, by_mouse=True)
@@ -87,7 +92,7 @@ def run(options: HmiOptions, out: Path) -> dict[str, Any]:
 
 def _client(fleet: LocalFleet, name: str) -> tuple[list[str], dict[str, str]]:
     """The command and what it needs of the environment."""
-    screen = ["-m", "hmi_client", "screen", *fleet.connection, "--operator", name]
+    screen = ["-m", "fleetpose.hmi_client", "screen", *fleet.connection, "--operator", name]
     return [sys.executable, "-P", *screen], {"XDG_STATE_HOME": str(fleet.directory / name)}
 
 

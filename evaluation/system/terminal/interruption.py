@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from deploy.local_fleet import LocalFleet
-from evaluation.system.terminal.tmux import Terminal
+from fleetpose.deploy.local_fleet import LocalFleet
+from fleetpose.evaluation.system.terminal.tmux import Terminal
 
 SAID_WITHIN_S = 10.0
 BACK_WITHIN_S = 40.0

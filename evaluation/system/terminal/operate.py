@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from deploy.local_fleet import LocalFleet, wait_running
-from evaluation.data.recording import CloudKind
-from evaluation.metrics.geometry import Floats, inverse
-from evaluation.metrics.scoring import position_error_m, rotation_error_deg
-from evaluation.report.output import output_folder, print_table, write_summary
-from evaluation.system.fleet import (
+from fleetpose.deploy.local_fleet import LocalFleet, wait_running
+from fleetpose.evaluation.data.recording import CloudKind
+from fleetpose.evaluation.metrics.geometry import Floats, inverse
+from fleetpose.evaluation.metrics.scoring import position_error_m, rotation_error_deg
+from fleetpose.evaluation.report.output import output_folder, print_table, write_summary
+from fleetpose.evaluation.system.fleet import (
     FleetOptions,
     FleetPlan,
     kept_apart,
@@ -23,15 +23,15 @@ from evaluation.system.fleet import (
     start,
     wait_started,
 )
-from evaluation.system.observer import Observer
-from evaluation.system.terminal.fingers import Fingers
-from evaluation.system.terminal.interruption import Interruption
-from evaluation.system.terminal.tmux import Terminal
-from protocol.codec import unpack
-from protocol.errors import FleetPoseError
-from protocol.keys import Keys, ordered_pair
-from protocol.messages import Alignment, PairCorrespondences
-from protocol.transport import Link, Sample
+from fleetpose.evaluation.system.observer import Observer
+from fleetpose.evaluation.system.terminal.fingers import Fingers
+from fleetpose.evaluation.system.terminal.interruption import Interruption
+from fleetpose.evaluation.system.terminal.tmux import Terminal
+from fleetpose.protocol.codec import unpack
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.keys import Keys, ordered_pair
+from fleetpose.protocol.messages import Alignment, PairCorrespondences
+from fleetpose.protocol.transport import Link, Sample
 
 SETTLE_S = 40.0  # for the machine to find what it can by itself
 ANSWER_S = 20.0  # from the last click to the joined fleet
@@ -137,7 +137,7 @@ def _operated(
     last = plan.names[-1]
     if not wait_running(fleet, lambda: _is_asked_about(observer, plan), SETTLE_S):
         raise FleetPoseError(f"after {SETTLE_S:.0f} s nothing is asked about the robot apart")
-    client = ("-m", "hmi_client", "screen", *fleet.connection, "--operator", "fingers")
+    client = ("-m", "fleetpose.hmi_client", "screen", *fleet.connection, "--operator", "fingers")
     command = [sys.executable, "-P", *client, "--theme", options.theme]
     state = {"XDG_STATE_HOME": str(fleet.directory / "client")}
     began_s = time.monotonic()

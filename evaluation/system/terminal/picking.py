@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-
-from evaluation.system.terminal.fingers import arrow_keys
-from evaluation.system.terminal.reading import ShownImage, images_on
-from evaluation.system.terminal.tmux import Terminal
-from hmi_client.tui.drawing.arrangement import arrange
-from protocol.errors import FleetPoseError
-from protocol.transport import wait_until
+from fleetpose.evaluation.system.terminal.fingers import arrow_keys
+from fleetpose.evaluation.system.terminal.reading import ShownImage, images_on
+from fleetpose.evaluation.system.terminal.tmux import Terminal
+from fleetpose.hmi_client.tui.drawing.arrangement import arrange
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.transport import wait_until
 
 _MARGIN_PX = 12
 SENT_S = 10.0

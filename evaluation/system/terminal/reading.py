@@ -6,9 +6,9 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hmi_client.model.records import PixelUV
-from hmi_client.tui.drawing.arrangement import arrange, fit
-from hmi_client.tui.drawing.cells import Window
+from fleetpose.hmi_client.model.records import PixelUV
+from fleetpose.hmi_client.tui.drawing.arrangement import arrange, fit
+from fleetpose.hmi_client.tui.drawing.cells import Window
 
 _TOP = re.compile(r"[╭┏][─━]+ (?P<title>[^─━╮┓]+) [─━]*[╮┓]")
 _PIXEL = re.compile(r"(-?\d+), (-?\d+) px")

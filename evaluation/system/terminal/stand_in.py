@@ -16,11 +16,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from evaluation.simulate.world.materials.facades import Style, facade
-from protocol.codec import encoding_of, pack, unpack
-from protocol.keys import Keys, new_epoch
-from protocol.messages import (
+from fleetpose.evaluation.simulate.world.materials.facades import Style, facade
+from fleetpose.protocol.codec import encoding_of, pack, unpack
+from fleetpose.protocol.keys import Keys, new_epoch
+from fleetpose.protocol.messages import (
     Camera,
     CameraAnnouncement,
     Correspondence,
@@ -41,7 +40,7 @@ from protocol.messages import (
     View,
     ViewName,
 )
-from protocol.transport import (
+from fleetpose.protocol.transport import (
     ENCODING_JPEG,
     Answer,
     Link,

@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Self
 
-from protocol.errors import FleetPoseError
+from fleetpose.protocol.errors import FleetPoseError
 
 _TIMEOUT_S = 10.0
 

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from hmi_client.model.records import PixelUV
-from hmi_client.tui.drawing.cells import Window
+from fleetpose.hmi_client.model.records import PixelUV
+from fleetpose.hmi_client.tui.drawing.cells import Window
 
 MIN_LOUPE = (11, 5)  # columns, rows; below that it shows too little to aim by
 MAX_LOUPE = (33, 17)

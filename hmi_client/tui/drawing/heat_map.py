@@ -5,12 +5,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from hmi_client.model.matrix import HIDDEN, SELF, THROUGH, Matrix
-from hmi_client.model.records import Pair
-from hmi_client.tui.drawing.cells import HalfBlocks, Image
-from hmi_client.tui.drawing.palette import rgb
-from protocol.keys import ordered_pair
+from fleetpose.hmi_client.model.matrix import HIDDEN, SELF, THROUGH, Matrix
+from fleetpose.hmi_client.model.records import Pair
+from fleetpose.hmi_client.tui.drawing.cells import HalfBlocks, Image
+from fleetpose.hmi_client.tui.drawing.palette import rgb
+from fleetpose.protocol.keys import ordered_pair
 
 LEVELS = 256
 # Dark blue over green to yellow (viridis): in order also for those who tell few colours apart.

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hmi_client.model.records import PixelUV
+from fleetpose.hmi_client.model.records import PixelUV
 
 LETTERS = "asdfghjklqwertyuiopzxcvbnm"  # the hand's rest first
 MOST = 120

@@ -4,13 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-
-from hmi_client.assist.pick_assist import Expected
-from hmi_client.model.records import Entry, PixelUV
-from hmi_client.tui.drawing import palette
-from hmi_client.tui.drawing.cells import MARKER_COLOURS, HalfBlocks, Window
-from hmi_client.tui.drawing.hints import Hints
-from protocol.messages import ViewName
+from fleetpose.hmi_client.assist.pick_assist import Expected
+from fleetpose.hmi_client.model.records import Entry, PixelUV
+from fleetpose.hmi_client.tui.drawing import palette
+from fleetpose.hmi_client.tui.drawing.cells import MARKER_COLOURS, HalfBlocks, Window
+from fleetpose.hmi_client.tui.drawing.hints import Hints
+from fleetpose.protocol.messages import ViewName
 
 CROSS_RGB, FAINT_RGB, DEPTH_RGB = 0xFF3030, 0x808080, 0xF0E442
 

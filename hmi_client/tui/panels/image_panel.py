@@ -5,20 +5,15 @@ from contextlib import suppress
 from dataclasses import replace
 from textwrap import wrap
 
-from rich.segment import Segment
-from textual import events
-from textual.message import Message
-from textual.strip import Strip
-
-from hmi_client.assist.pick_assist import Expected, Guide
-from hmi_client.errors import OperatorError, PictureError
-from hmi_client.model.jpeg import frame_of
-from hmi_client.model.picture_decoder import decoded
-from hmi_client.model.records import Entry, Picture, PixelUV
-from hmi_client.model.session import OperatorSession
-from hmi_client.tui import bindings
-from hmi_client.tui.drawing.arrangement import Arrangement, arrange, fit
-from hmi_client.tui.drawing.cells import (
+from fleetpose.hmi_client.assist.pick_assist import Expected, Guide
+from fleetpose.hmi_client.errors import OperatorError, PictureError
+from fleetpose.hmi_client.model.jpeg import frame_of
+from fleetpose.hmi_client.model.picture_decoder import decoded
+from fleetpose.hmi_client.model.records import Entry, Picture, PixelUV
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.tui import bindings
+from fleetpose.hmi_client.tui.drawing.arrangement import Arrangement, arrange, fit
+from fleetpose.hmi_client.tui.drawing.cells import (
     FINE_BITS,
     LIVE_BITS,
     HalfBlocks,
@@ -28,11 +23,15 @@ from hmi_client.tui.drawing.cells import (
     sample,
     steadied,
 )
-from hmi_client.tui.drawing.hints import LETTERS, MOST, Hints
-from hmi_client.tui.drawing.overlay import Overlay
-from hmi_client.tui.drawing.palette import style
-from hmi_client.tui.panels.panel import Panel
-from protocol.messages import ViewName
+from fleetpose.hmi_client.tui.drawing.hints import LETTERS, MOST, Hints
+from fleetpose.hmi_client.tui.drawing.overlay import Overlay
+from fleetpose.hmi_client.tui.drawing.palette import style
+from fleetpose.hmi_client.tui.panels.panel import Panel
+from fleetpose.protocol.messages import ViewName
+from rich.segment import Segment
+from textual import events
+from textual.message import Message
+from textual.strip import Strip
 
 # A half cell of the image is a mean over many pixels; the shades of live images are coarser yet.
 NOISE_LEVELS = {"image": 16, "loupe": 24}

@@ -5,16 +5,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from fleetpose.hmi_client.model.matrix import length_text, natural
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.model.top_view import (
+    ground_ellipse,
+    heading_rad,
+    position,
+    position_covariance,
+)
+from fleetpose.hmi_client.tui import bindings
+from fleetpose.hmi_client.tui.drawing.cells import Canvas
+from fleetpose.hmi_client.tui.drawing.palette import style
+from fleetpose.hmi_client.tui.panels.panel import Panel
+from fleetpose.protocol.messages import RobotPose
 from textual.strip import Strip
-
-from hmi_client.model.matrix import length_text, natural
-from hmi_client.model.session import OperatorSession
-from hmi_client.model.top_view import ground_ellipse, heading_rad, position, position_covariance
-from hmi_client.tui import bindings
-from hmi_client.tui.drawing.cells import Canvas
-from hmi_client.tui.drawing.palette import style
-from hmi_client.tui.panels.panel import Panel
-from protocol.messages import RobotPose
 
 Floats = npt.NDArray[np.float64]
 HEADING_DOTS = 9

@@ -1,14 +1,6 @@
 """The middle panel: the symmetric error matrix. Every cell can be selected, hidden or not."""
 
-from rich.segment import Segment
-from rich.style import Style
-from textual import events
-from textual.geometry import Size
-from textual.message import Message
-from textual.scroll_view import ScrollView
-from textual.strip import Strip
-
-from hmi_client.model.matrix import (
+from fleetpose.hmi_client.model.matrix import (
     HIDDEN,
     QUANTITIES,
     SELF,
@@ -21,14 +13,21 @@ from hmi_client.model.matrix import (
     matrix_of,
     title_of,
 )
-from hmi_client.model.records import Pair
-from hmi_client.model.session import OperatorSession
-from hmi_client.tui import bindings
-from hmi_client.tui.drawing.cells import Rows
-from hmi_client.tui.drawing.heat_map import Grid, heat_map
-from hmi_client.tui.drawing.palette import style
-from hmi_client.tui.panels.panel import PanelMixin, line
-from protocol.keys import ordered_pair
+from fleetpose.hmi_client.model.records import Pair
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.tui import bindings
+from fleetpose.hmi_client.tui.drawing.cells import Rows
+from fleetpose.hmi_client.tui.drawing.heat_map import Grid, heat_map
+from fleetpose.hmi_client.tui.drawing.palette import style
+from fleetpose.hmi_client.tui.panels.panel import PanelMixin, line
+from fleetpose.protocol.keys import ordered_pair
+from rich.segment import Segment
+from rich.style import Style
+from textual import events
+from textual.geometry import Size
+from textual.message import Message
+from textual.scroll_view import ScrollView
+from textual.strip import Strip
 
 TONES = {"verified": "text", "plausible": "plausible", "ambiguous": "ambiguous", None: "faint"}
 CLICKED, WATCHED = "•", "◂"

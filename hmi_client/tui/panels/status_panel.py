@@ -2,14 +2,13 @@
 
 from collections.abc import Mapping
 
+from fleetpose.hmi_client.assist.prompts import confirmation, next_step, reason
+from fleetpose.hmi_client.assist.suggestions import Proposals
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.tui.drawing.palette import style
+from fleetpose.hmi_client.tui.panels.panel import PanelMixin, line
 from rich.segment import Segment
 from textual.strip import Strip
-
-from hmi_client.assist.prompts import confirmation, next_step, reason
-from hmi_client.assist.suggestions import Proposals
-from hmi_client.model.session import OperatorSession
-from hmi_client.tui.drawing.palette import style
-from hmi_client.tui.panels.panel import PanelMixin, line
 
 
 class StatusPanel(PanelMixin):

@@ -2,9 +2,8 @@
 
 from typing import Any
 
+from fleetpose.hmi_client.tui.terminal.terminal_diff import Frugal
 from textual.drivers.linux_driver import LinuxDriver
-
-from hmi_client.tui.terminal.terminal_diff import Frugal
 
 
 class PatientDriver(LinuxDriver):

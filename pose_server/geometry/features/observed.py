@@ -5,9 +5,8 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.features.matching import PixelGrid, Prediction
-from pose_server.geometry.se3 import transform
+from fleetpose.pose_server.geometry.features.matching import PixelGrid, Prediction
+from fleetpose.pose_server.geometry.se3 import transform
 
 Floats = npt.NDArray[np.floating]
 

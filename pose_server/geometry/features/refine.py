@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.features.gauss_newton import Side, descend, weigh
-from pose_server.geometry.features.kernels import normal_equations
-from pose_server.geometry.features.observed import Observed
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.features.gauss_newton import Side, descend, weigh
+from fleetpose.pose_server.geometry.features.kernels import normal_equations
+from fleetpose.pose_server.geometry.features.observed import Observed
 
 Floats = npt.NDArray[np.floating]
 Bools = npt.NDArray[np.bool_]

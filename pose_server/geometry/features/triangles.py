@@ -11,10 +11,9 @@ what merely clusters in space.
 
 import numpy as np
 import numpy.typing as npt
+from fleetpose.pose_server.geometry.features.observed import Observed
+from fleetpose.pose_server.geometry.se3 import transform
 from numba import njit
-
-from pose_server.geometry.features.observed import Observed
-from pose_server.geometry.se3 import transform
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]

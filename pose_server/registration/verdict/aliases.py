@@ -8,15 +8,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.features.matching import NO_MATCHES
+from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles
+from fleetpose.pose_server.geometry.se3 import inverse
+from fleetpose.pose_server.registration.pair import OWN_NOISE, RATIO, Pair
+from fleetpose.pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.registration.verdict.explained import (
+    count_places,
+    empty_parts,
+    visible_in,
+)
 from scipy.spatial import cKDTree
-
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.features.matching import NO_MATCHES
-from pose_server.geometry.features.triangles import poses_by_triangles
-from pose_server.geometry.se3 import inverse
-from pose_server.registration.pair import OWN_NOISE, RATIO, Pair
-from pose_server.registration.prepared_view import PreparedView
-from pose_server.registration.verdict.explained import count_places, empty_parts, visible_in
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]

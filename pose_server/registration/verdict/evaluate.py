@@ -4,22 +4,26 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.calibration.depth_comparison import DepthErrors
-from pose_server.calibration.depth_shift import DepthShift
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.features.free_space import Agreement
-from pose_server.geometry.features.matching import union
-from pose_server.geometry.features.motion import Mask
-from pose_server.geometry.features.refine import NoiseScale, Refinement
-from pose_server.geometry.se3 import inverse, position_covariance, rotation_angle, transform
-from pose_server.geometry.structure import Structure
-from pose_server.registration.pair import EXACT_SIGMAS, Pair
-from pose_server.registration.pair_icp import IcpReport
-from pose_server.registration.verdict.evidence import NO_RIVAL, Evidence, SurfaceEvidence
-from pose_server.registration.verdict.explained import count_places, explained
-from pose_server.registration.verdict.fitted_model import MODEL
-from pose_server.registration.verdict.grave_probability import (
+from fleetpose.pose_server.calibration.depth_comparison import DepthErrors
+from fleetpose.pose_server.calibration.depth_shift import DepthShift
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.features.free_space import Agreement
+from fleetpose.pose_server.geometry.features.matching import union
+from fleetpose.pose_server.geometry.features.motion import Mask
+from fleetpose.pose_server.geometry.features.refine import NoiseScale, Refinement
+from fleetpose.pose_server.geometry.se3 import (
+    inverse,
+    position_covariance,
+    rotation_angle,
+    transform,
+)
+from fleetpose.pose_server.geometry.structure import Structure
+from fleetpose.pose_server.registration.pair import EXACT_SIGMAS, Pair
+from fleetpose.pose_server.registration.pair_icp import IcpReport
+from fleetpose.pose_server.registration.verdict.evidence import NO_RIVAL, Evidence, SurfaceEvidence
+from fleetpose.pose_server.registration.verdict.explained import count_places, explained
+from fleetpose.pose_server.registration.verdict.fitted_model import MODEL
+from fleetpose.pose_server.registration.verdict.grave_probability import (
     ELSEWHERE_P_GRAVE,
     RIVAL_P_GRAVE,
     holes_beyond_few,
@@ -27,9 +31,14 @@ from pose_server.registration.verdict.grave_probability import (
     stands,
     with_rivals,
 )
-from pose_server.registration.verdict.hearing import ByClicks, Hearing
-from pose_server.registration.verdict.rivals import left_over, one_step_on, rivals_of, unique_points
-from pose_server.registration.verdict.words import ELSEWHERE, Verdict, judge
+from fleetpose.pose_server.registration.verdict.hearing import ByClicks, Hearing
+from fleetpose.pose_server.registration.verdict.rivals import (
+    left_over,
+    one_step_on,
+    rivals_of,
+    unique_points,
+)
+from fleetpose.pose_server.registration.verdict.words import ELSEWHERE, Verdict, judge
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from pose_server.registration.verdict.explained import Explained
+from fleetpose.pose_server.registration.verdict.explained import Explained
 
 NO_RIVAL = 30.0
 

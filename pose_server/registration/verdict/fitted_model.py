@@ -1,6 +1,6 @@
 """The numbers of `trust`, as `pose-eval trust` printed them."""
 
-from pose_server.registration.verdict.grave_probability import TrustModel
+from fleetpose.pose_server.registration.verdict.grave_probability import TrustModel
 
 # fitted on church_herzjesu (sparse_noisy, also half mirrored), ring_temple and house_dtu24
 # (sparse_noisy), rgbd_7scenes_redkitchen_A, courtyard2 u40 s21 (sparse_noisy), courtyard4 u30 s27

@@ -15,12 +15,15 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.features.refine import NoiseScale
-from pose_server.geometry.se3 import inverse
-from pose_server.registration.pair import Pair
-from pose_server.registration.verdict.explained import LEAST_EXPECTED, PARALLAX_RAD, seen_from_both
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.features.refine import NoiseScale
+from fleetpose.pose_server.geometry.se3 import inverse
+from fleetpose.pose_server.registration.pair import Pair
+from fleetpose.pose_server.registration.verdict.explained import (
+    LEAST_EXPECTED,
+    PARALLAX_RAD,
+    seen_from_both,
+)
 
 Floats = npt.NDArray[np.floating]
 

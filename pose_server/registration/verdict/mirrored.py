@@ -10,11 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.features.matching import ratio_matches
-from pose_server.geometry.features.observed import Observed
-from pose_server.geometry.features.triangles import poses_by_triangles
-from pose_server.registration.pair import Pair
+from fleetpose.pose_server.geometry.features.matching import ratio_matches
+from fleetpose.pose_server.geometry.features.observed import Observed
+from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles
+from fleetpose.pose_server.registration.pair import Pair
 
 Descriptors = npt.NDArray[np.float32]
 

@@ -11,24 +11,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
-
-from pose_server.geometry import robust
-from pose_server.geometry.errors import DegenerateGeometryError
-from pose_server.geometry.features.matching import NO_MATCHES, union
-from pose_server.geometry.features.refine import NoiseScale
-from pose_server.geometry.features.triangles import MOST_MATCHES, poses_by_triangles
-from pose_server.geometry.se3 import inverse
-from pose_server.registration.pair import OWN_NOISE, Pair
-from pose_server.registration.prepared_view import PreparedView
-from pose_server.registration.verdict.aliases import Alias, aliases_of
-from pose_server.registration.verdict.explained import (
+from fleetpose.pose_server.geometry import robust
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.features.matching import NO_MATCHES, union
+from fleetpose.pose_server.geometry.features.refine import NoiseScale
+from fleetpose.pose_server.geometry.features.triangles import MOST_MATCHES, poses_by_triangles
+from fleetpose.pose_server.geometry.se3 import inverse
+from fleetpose.pose_server.registration.pair import OWN_NOISE, Pair
+from fleetpose.pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.registration.verdict.aliases import Alias, aliases_of
+from fleetpose.pose_server.registration.verdict.explained import (
     LEAST_EXPECTED,
     PARALLAX_RAD,
     count_places,
     empty_parts,
     visible_at,
 )
+from scipy.spatial import cKDTree
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]

@@ -8,11 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-
-from pose_server.geometry.point_pairs import PointPairs
-from pose_server.geometry.se3 import inverse, transform
-from pose_server.registration.pair import Pair
-from pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.geometry.point_pairs import PointPairs
+from fleetpose.pose_server.geometry.se3 import inverse, transform
+from fleetpose.pose_server.registration.pair import Pair
+from fleetpose.pose_server.registration.prepared_view import PreparedView
 
 Floats = npt.NDArray[np.floating]
 

@@ -4,9 +4,9 @@ what determines the pose; each test has its reason. A false `verified` is the wo
 
 from typing import Literal
 
-from pose_server.registration.pair import GRAVE_POSITION, GRAVE_ROTATION_RAD
-from pose_server.registration.verdict.evidence import Evidence
-from pose_server.registration.verdict.grave_probability import (
+from fleetpose.pose_server.registration.pair import GRAVE_POSITION, GRAVE_ROTATION_RAD
+from fleetpose.pose_server.registration.verdict.evidence import Evidence
+from fleetpose.pose_server.registration.verdict.grave_probability import (
     REJECTED_P_GRAVE,
     VERIFIED_P_GRAVE,
     stands,

@@ -13,15 +13,14 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-
-from protocol.errors import DataFolderError
-from protocol.messages import ROBOT_FROM_CAMERA, NoiseModel
-from protocol.messages import Camera as CameraModel
-from robot_agent.cameras.base import DepthImage, Frame, Ranges, ScatteredPoints
-from robot_agent.cameras.folders.cloud_files import ENDINGS, read_points
-from robot_agent.cameras.folders.files import model_of
-from robot_agent.cameras.replay import replay_order
-from robot_agent.features.depth_picture import picture_of
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, NoiseModel
+from fleetpose.protocol.messages import Camera as CameraModel
+from fleetpose.robot_agent.cameras.base import DepthImage, Frame, Ranges, ScatteredPoints
+from fleetpose.robot_agent.cameras.folders.cloud_files import ENDINGS, read_points
+from fleetpose.robot_agent.cameras.folders.files import model_of
+from fleetpose.robot_agent.cameras.replay import replay_order
+from fleetpose.robot_agent.features.depth_picture import picture_of
 
 log = logging.getLogger(__name__)
 

@@ -13,8 +13,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
-
-from protocol.errors import DataFolderError
+from fleetpose.protocol.errors import DataFolderError
 
 Floats = npt.NDArray[np.float64]
 

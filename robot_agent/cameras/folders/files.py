@@ -7,10 +7,9 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+from fleetpose.protocol.errors import CalibrationError, DataFolderError
+from fleetpose.protocol.messages import Camera, NoiseModel
 from pydantic import ValidationError
-
-from protocol.errors import CalibrationError, DataFolderError
-from protocol.messages import Camera, NoiseModel
 
 
 def read_colour(path: Path) -> npt.NDArray[np.uint8]:

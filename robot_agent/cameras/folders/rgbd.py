@@ -16,13 +16,18 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-
-from protocol.errors import CalibrationError, DataFolderError
-from protocol.messages import ROBOT_FROM_CAMERA, NoiseModel
-from protocol.messages import Camera as CameraModel
-from robot_agent.cameras.base import DepthImage, Frame
-from robot_agent.cameras.folders.files import model_of, noise_of, read_colour, read_depth, read_json
-from robot_agent.cameras.replay import replay_order
+from fleetpose.protocol.errors import CalibrationError, DataFolderError
+from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, NoiseModel
+from fleetpose.protocol.messages import Camera as CameraModel
+from fleetpose.robot_agent.cameras.base import DepthImage, Frame
+from fleetpose.robot_agent.cameras.folders.files import (
+    model_of,
+    noise_of,
+    read_colour,
+    read_depth,
+    read_json,
+)
+from fleetpose.robot_agent.cameras.replay import replay_order
 
 log = logging.getLogger(__name__)
 

@@ -12,16 +12,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from protocol.errors import CalibrationError
-from protocol.messages import NoiseModel
-from robot_agent.cameras.base import DisparityImage, Frame
-from robot_agent.cameras.folders.files import model_of
-from robot_agent.cameras.stereo.pairs import PairSource, open_pairs
-from robot_agent.cameras.stereo.rectify import Rectifier
-from robot_agent.cameras.stereo.rig import StereoRig, read_rig, read_rig_file
-from robot_agent.cameras.stereo.video import VideoSettings
-from robot_agent.cameras.still import StillImage
+from fleetpose.protocol.errors import CalibrationError
+from fleetpose.protocol.messages import NoiseModel
+from fleetpose.robot_agent.cameras.base import DisparityImage, Frame
+from fleetpose.robot_agent.cameras.folders.files import model_of
+from fleetpose.robot_agent.cameras.stereo.pairs import PairSource, open_pairs
+from fleetpose.robot_agent.cameras.stereo.rectify import Rectifier
+from fleetpose.robot_agent.cameras.stereo.rig import StereoRig, read_rig, read_rig_file
+from fleetpose.robot_agent.cameras.stereo.video import VideoSettings
+from fleetpose.robot_agent.cameras.still import StillImage
 
 Image = npt.NDArray[np.uint8]
 Disparity = npt.NDArray[np.float32]

@@ -10,13 +10,12 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-
-from protocol.errors import DataFolderError
-from robot_agent.cameras.base import CameraError
-from robot_agent.cameras.folders.files import read_colour
-from robot_agent.cameras.reader import Reader
-from robot_agent.cameras.replay import replay_order
-from robot_agent.cameras.stereo.video import (
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.cameras.base import CameraError
+from fleetpose.robot_agent.cameras.folders.files import read_colour
+from fleetpose.robot_agent.cameras.reader import Reader
+from fleetpose.robot_agent.cameras.replay import replay_order
+from fleetpose.robot_agent.cameras.stereo.video import (
     FilePlayer,
     Player,
     VideoSettings,

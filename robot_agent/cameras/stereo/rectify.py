@@ -3,9 +3,8 @@
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from protocol.errors import CalibrationError
-from robot_agent.cameras.stereo.rig import Floats, StereoRig
+from fleetpose.protocol.errors import CalibrationError
+from fleetpose.robot_agent.cameras.stereo.rig import Floats, StereoRig
 
 Image = npt.NDArray[np.uint8]
 

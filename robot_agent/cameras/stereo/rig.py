@@ -13,11 +13,10 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from protocol.errors import CalibrationError, DataFolderError
-from protocol.messages import ROBOT_FROM_CAMERA
-from robot_agent.cameras.folders.files import read_json
-from robot_agent.cameras.stereo import kalibr
+from fleetpose.protocol.errors import CalibrationError, DataFolderError
+from fleetpose.protocol.messages import ROBOT_FROM_CAMERA
+from fleetpose.robot_agent.cameras.folders.files import read_json
+from fleetpose.robot_agent.cameras.stereo import kalibr
 
 Floats = npt.NDArray[np.float64]
 

@@ -15,9 +15,8 @@ from typing import Any, NamedTuple, Protocol
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from protocol.errors import DataFolderError
-from robot_agent.cameras.base import CameraError
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.cameras.base import CameraError
 
 log = logging.getLogger(__name__)
 

@@ -1,6 +1,6 @@
 """Colours (BGR) of the materials of the synthetic world."""
 
-from evaluation.simulate.world.materials.textures import Colour
+from fleetpose.evaluation.simulate.world.materials.textures import Colour
 
 BRICK = [(62, 78, 150), (70, 88, 165), (55, 66, 128), (80, 100, 172), (64, 74, 112)]
 STONE = [(150, 168, 182), (138, 156, 172), (160, 176, 186), (128, 142, 160), (146, 158, 166)]

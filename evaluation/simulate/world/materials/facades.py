@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-
-from evaluation.simulate.world.materials.colours import (
+from fleetpose.evaluation.simulate.world.materials.colours import (
     BRICK,
     GREY,
     PAINTS,
@@ -17,7 +16,7 @@ from evaluation.simulate.world.materials.colours import (
     STONE,
     WORDS,
 )
-from evaluation.simulate.world.materials.textures import (
+from fleetpose.evaluation.simulate.world.materials.textures import (
     Colour,
     Rng,
     Texture,

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from evaluation.simulate.world.build import Paint
-from evaluation.simulate.world.materials import facades, textures
-from evaluation.simulate.world.materials.facades import Style
-from evaluation.simulate.world.materials.textures import Colour, Rng, Texture
+from fleetpose.evaluation.simulate.world.build import Paint
+from fleetpose.evaluation.simulate.world.materials import facades, textures
+from fleetpose.evaluation.simulate.world.materials.facades import Style
+from fleetpose.evaluation.simulate.world.materials.textures import Colour, Rng, Texture
 
 WALL_PX_PER_M = 96.0
 _FAINT_PX_PER_M = 80.0

@@ -3,12 +3,11 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-
-from evaluation.simulate.world.build import Builder, Paint, regular
-from evaluation.simulate.world.materials.facades import Style
-from evaluation.simulate.world.materials.paints import bare, crate, dressed, faint, pasted
-from evaluation.simulate.world.materials.textures import Colour, Rng
-from evaluation.simulate.world.plans.plan import (
+from fleetpose.evaluation.simulate.world.build import Builder, Paint, regular
+from fleetpose.evaluation.simulate.world.materials.facades import Style
+from fleetpose.evaluation.simulate.world.materials.paints import bare, crate, dressed, faint, pasted
+from fleetpose.evaluation.simulate.world.materials.textures import Colour, Rng
+from fleetpose.evaluation.simulate.world.plans.plan import (
     Plan,
     copies,
     front,
@@ -18,7 +17,7 @@ from evaluation.simulate.world.plans.plan import (
     shifted,
     turned,
 )
-from evaluation.simulate.world.render import Quad
+from fleetpose.evaluation.simulate.world.render import Quad
 
 _CORRIDOR_HALF_M = 40.0
 _APART_M = 60.0  # two halls that have nothing to do with each other

@@ -9,13 +9,19 @@ import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
-
-from evaluation.simulate.world.build import Builder, regular
-from evaluation.simulate.world.materials.colours import RED_TILES, SLATE
-from evaluation.simulate.world.materials.facades import Style
-from evaluation.simulate.world.materials.paints import bare, cloth, crate, dressed, paved, tiles
-from evaluation.simulate.world.materials.textures import Rng
-from evaluation.simulate.world.plans.plan import (
+from fleetpose.evaluation.simulate.world.build import Builder, regular
+from fleetpose.evaluation.simulate.world.materials.colours import RED_TILES, SLATE
+from fleetpose.evaluation.simulate.world.materials.facades import Style
+from fleetpose.evaluation.simulate.world.materials.paints import (
+    bare,
+    cloth,
+    crate,
+    dressed,
+    paved,
+    tiles,
+)
+from fleetpose.evaluation.simulate.world.materials.textures import Rng
+from fleetpose.evaluation.simulate.world.plans.plan import (
     Front,
     Plan,
     Room,
@@ -27,7 +33,7 @@ from evaluation.simulate.world.plans.plan import (
     shifted,
     turned,
 )
-from evaluation.simulate.world.render import Quad
+from fleetpose.evaluation.simulate.world.render import Quad
 
 _MATERIALS = ("render", "brick", "stone", "grey")
 _OUT_OF_SIGHT_M = 64.0  # along a facade: beyond, no camera of the plan's robots sees its end

@@ -9,8 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-
-from evaluation.simulate.world.render import Floats, Quad
+from fleetpose.evaluation.simulate.world.render import Floats, Quad
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,14 @@
 from collections.abc import Sequence
 
 import numpy as np
-
-from evaluation.simulate.world.materials.textures import Rng
-from evaluation.simulate.world.plans.indoors import INDOORS
-from evaluation.simulate.world.plans.outdoors import OUTDOORS
-from evaluation.simulate.world.plans.plan import Front, Plan
-from evaluation.simulate.world.plans.things import unique_things
-from evaluation.simulate.world.render import Floats, Renderer
-from evaluation.simulate.world.robots import World, rig_with, robot_names, standing
-from protocol.errors import FleetPoseError
+from fleetpose.evaluation.simulate.world.materials.textures import Rng
+from fleetpose.evaluation.simulate.world.plans.indoors import INDOORS
+from fleetpose.evaluation.simulate.world.plans.outdoors import OUTDOORS
+from fleetpose.evaluation.simulate.world.plans.plan import Front, Plan
+from fleetpose.evaluation.simulate.world.plans.things import unique_things
+from fleetpose.evaluation.simulate.world.render import Floats, Renderer
+from fleetpose.evaluation.simulate.world.robots import World, rig_with, robot_names, standing
+from fleetpose.protocol.errors import FleetPoseError
 
 PLANS = {**OUTDOORS, **INDOORS}
 """Makes a plan from a generator, by name."""

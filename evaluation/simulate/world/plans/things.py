@@ -5,13 +5,19 @@ statues. None is like another.
 from collections.abc import Callable, Sequence
 
 import numpy as np
-
-from evaluation.simulate.world.build import Builder, regular
-from evaluation.simulate.world.materials.colours import PAINTS
-from evaluation.simulate.world.materials.paints import bare, cloth, crate, pasted, printed, tiles
-from evaluation.simulate.world.materials.textures import Rng, Texture, noise, plain, wood
-from evaluation.simulate.world.plans.plan import Front, placed, shifted
-from evaluation.simulate.world.render import Quad
+from fleetpose.evaluation.simulate.world.build import Builder, regular
+from fleetpose.evaluation.simulate.world.materials.colours import PAINTS
+from fleetpose.evaluation.simulate.world.materials.paints import (
+    bare,
+    cloth,
+    crate,
+    pasted,
+    printed,
+    tiles,
+)
+from fleetpose.evaluation.simulate.world.materials.textures import Rng, Texture, noise, plain, wood
+from fleetpose.evaluation.simulate.world.plans.plan import Front, placed, shifted
+from fleetpose.evaluation.simulate.world.render import Quad
 
 _HUNG_M = 0.04  # a thing that hangs stands out by so much
 _SEED = 3  # of the draws that things are made by, beside the world's
