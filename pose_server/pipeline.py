@@ -25,11 +25,11 @@ from fleetpose.pose_server.frontend.frames import on_keyframes
 from fleetpose.pose_server.frontend.localization import (
     back_job,
     followed,
-    look_back,
+    localize_past,
     newest_arrived,
     track_job,
 )
-from fleetpose.pose_server.frontend.tracks import Attached, accepted
+from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose, accepted
 from fleetpose.pose_server.pose_graph.graph import solve_fleet
 from fleetpose.pose_server.pose_graph.types import GRAVE_BY_VERDICT, Edge, SolveSettings
 from fleetpose.pose_server.questions.feedback import note_clicks, note_selection, note_solved
@@ -77,7 +77,7 @@ def receive_fetched(site: Site, view: KeptView) -> None:
         site.views.keep(view)
         site.count("views_fetched")
     if view.name in site.held():
-        look_back(site, view.name)
+        localize_past(site, view.name)
 
 
 def receive_token(site: Site, name: str, epoch: str, alive: bool) -> None:
@@ -108,7 +108,7 @@ def receive_selection(site: Site, selection: Selection, now_s: float) -> list[Vi
     site.pin((selection.operator, selection.session), views, now_s)
     note_selection(site, selection, now_s)
     for view in views:
-        look_back(site, view)
+        localize_past(site, view)
     return [view for view in views if view not in site.views]
 
 
@@ -116,7 +116,7 @@ def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
     """Applies an operator's update, and all that waited for it; what is returned is final and in
     the journal.
     """
-    outcomes = site.book.apply(
+    outcomes = site.correspondences.apply(
         update,
         keeps=site.views.__contains__,
         lift=lambda view, pixel: site.lifter.lift(site.views[view], np.asarray(pixel, np.float64)),
@@ -129,7 +129,7 @@ def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
             pair_queue.reweigh(site, outcome.pair)
             site.dirty = True
             for view in outcome.views:
-                look_back(site, view)
+                localize_past(site, view)
     note_clicks(site, outcomes)
     return outcomes
 
@@ -190,7 +190,7 @@ def solve(site: Site, now_s: float, wanted: Collection[ViewName] | None = None) 
     note_repetition(site)
     reconsider(site)
     choose_anchor(site)
-    pair_queue.appraise(site, now_s)
+    pair_queue.update_priorities(site, now_s)
     note_solved(site)
 
 
@@ -291,7 +291,7 @@ def _with_clicks(site: Site, a: str, b: str) -> Job | None:
 def _robots_job(site: Site, now_s: float) -> Job | None:
     """What robots wait for, each kind of work in its turn."""
     for kind, share in _SHARES.items():
-        site.kinds.offer(kind, share, 0.0)
+        site.kinds.put(kind, share, 0.0)
     while (chosen := site.kinds.pick(0.0)) is not None:
         match chosen.key:
             case "track":
@@ -304,7 +304,7 @@ def _robots_job(site: Site, now_s: float) -> Job | None:
                 job = _pair_job(site, now_s)
         if job is not None:
             return job
-        site.kinds.withdraw(chosen.key)
+        site.kinds.remove(chosen.key)
     return None
 
 
@@ -375,7 +375,7 @@ def _unlink_operator(site: Site, a: str, b: str) -> None:
             site.unlink(key)
 
 
-def _link_pair(site: Site, i: Attached, j: Attached, done: Done) -> None:
+def _link_pair(site: Site, i: KeyframeRelativePose, j: KeyframeRelativePose, done: Done) -> None:
     assert done.result is not None
     known = all(h.keyframe in site.robot(h.keyframe.robot).track.keyframes for h in (i, j))
     if i.keyframe == j.keyframe or not known:  # a keyframe may have been dropped meanwhile

@@ -37,7 +37,7 @@ class Expected:
     segment: tuple[PixelUV, PixelUV] | None = None
 
 
-class Guide:
+class PickAssist:
     """Looks at the held pictures of a session."""
 
     def __init__(self, session: OperatorSession) -> None:

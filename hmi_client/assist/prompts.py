@@ -3,13 +3,13 @@
 import math
 from collections.abc import Mapping
 
-from fleetpose.hmi_client.assist.suggestions import Proposals
+from fleetpose.hmi_client.assist.suggestions import Suggestions
 from fleetpose.hmi_client.model.matrix import are_joined, components_of, doubt_text, length_text
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.protocol.messages import Answer
 
 
-def next_step(session: OperatorSession, proposals: Proposals, keys: Mapping[str, str]) -> str:
+def next_step(session: OperatorSession, proposals: Suggestions, keys: Mapping[str, str]) -> str:
     """The one thing to do now.
 
     Args:

@@ -4,7 +4,7 @@ is looked at, corrected, and accepted or skipped.
 
 from dataclasses import dataclass
 
-from fleetpose.hmi_client.assist.pick_assist import Guide
+from fleetpose.hmi_client.assist.pick_assist import PickAssist
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.records import PixelUV
 from fleetpose.hmi_client.model.session import OperatorSession
@@ -22,10 +22,10 @@ class Proposal:
     of: int
 
 
-class Proposals:
+class Suggestions:
     """Goes through the suggestions of one question, in the views that it is about."""
 
-    def __init__(self, session: OperatorSession, guide: Guide) -> None:
+    def __init__(self, session: OperatorSession, guide: PickAssist) -> None:
         self._session = session
         self._guide = guide
         self._views: tuple[ViewName, ViewName] | None = None

@@ -11,12 +11,12 @@ from fleetpose.hmi_client.assist.deferred_clear import HeldClear
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.records import Entry, Pair, Pick, PixelUV
 from fleetpose.hmi_client.network.outbox import Outbox, Ticket
-from fleetpose.hmi_client.network.update_log import KeptUpdates
+from fleetpose.hmi_client.network.update_log import UpdateLog
 from fleetpose.protocol.messages import Correspondence, PairCorrespondences, Receipts, ViewName
 
 
 @dataclass(frozen=True)
-class Deed:
+class UndoStep:
     """One step that can be undone: the picks it added and those it removed; of one that was moved,
     where it was and where it went.
     """
@@ -27,19 +27,19 @@ class Deed:
 
 
 @dataclass
-class Workbook:
+class CorrespondenceModel:
     """Keeps the server's word apart from the operator's wishes; the server's sets are the truth."""
 
     operator: str
     session: str | None = None
     sets: dict[Pair, PairCorrespondences] = field(default_factory=dict)
     clock: Callable[[], float] = time.monotonic
-    kept: KeptUpdates | None = None
+    kept: UpdateLog | None = None
 
     def __post_init__(self) -> None:
         self.outbox = Outbox(self.operator, self.session, self.kept)
-        self._done: list[Deed] = []
-        self._undone: list[Deed] = []
+        self._done: list[UndoStep] = []
+        self._undone: list[UndoStep] = []
         self._settling: list[Ticket] = []  # accepted, but the set that shows it is still to come
         self._withdrawn: list[Pick] = []  # undone before it was named: erased once it is
         self._erasing: dict[Pair, dict[int, Ticket]] = {}
@@ -52,12 +52,12 @@ class Workbook:
     def add(self, view_a: ViewName, pixel_a: PixelUV, view_b: ViewName, pixel_b: PixelUV) -> Ticket:
         pick = Pick.of(view_a, pixel_a, view_b, pixel_b)
         self.dismiss(pick.pair)
-        self._remember(Deed(added=(pick,)))
+        self._remember(UndoStep(added=(pick,)))
         return self._post_add(pick)
 
     def erase(self, pair: Pair, id: int) -> Ticket:
         known = self._known(pair, id)
-        self._remember(Deed(removed=(Pick.made_by(known),)))
+        self._remember(UndoStep(removed=(Pick.made_by(known),)))
         return self._post_erase(pair, known)
 
     def move(self, pair: Pair, id: int, side: int, pixel: PixelUV) -> Ticket:
@@ -66,7 +66,7 @@ class Workbook:
             raise OperatorError(f"{id} is being moved already: wait for the server")
         before = Pick.made_by(known)
         after = replace(before, **{"pixel_j" if side else "pixel_i": pixel})
-        self._remember(Deed(moved=(before, after)))
+        self._remember(UndoStep(moved=(before, after)))
         return self._post_move(known, after)
 
     def clear(self, pair: Pair) -> Ticket | None:
@@ -77,7 +77,7 @@ class Workbook:
         if not items and not coming:
             return None
         picks = (*(Pick.made_by(c) for c in items), *(t.pick for t in coming if t.pick))
-        self._remember(Deed(removed=tuple(p for p in picks if p not in self._withdrawn)))
+        self._remember(UndoStep(removed=tuple(p for p in picks if p not in self._withdrawn)))
         self._withdrawn = [pick for pick in self._withdrawn if pick.pair != pair]
         known = self.sets.get(pair)
         ticket = self.outbox.post("clear", pair, known.revision if known else 0, held=True)
@@ -260,11 +260,11 @@ class Workbook:
         self._erasing.setdefault(pair, {})[known.id] = ticket
         return ticket
 
-    def _remember(self, deed: Deed) -> None:
+    def _remember(self, deed: UndoStep) -> None:
         self._done.append(deed)
         self._undone.clear()
 
-    def _step(self, source: list[Deed], target: list[Deed], forward: bool) -> bool:
+    def _step(self, source: list[UndoStep], target: list[UndoStep], forward: bool) -> bool:
         if not source:
             return False
         deed = source[-1]

@@ -7,12 +7,12 @@ from collections.abc import Callable
 
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.changes import Changes
-from fleetpose.hmi_client.model.correspondence_model import Workbook
+from fleetpose.hmi_client.model.correspondence_model import CorrespondenceModel
 from fleetpose.hmi_client.model.depths import Depths
-from fleetpose.hmi_client.model.image_buffer import Gallery, Keeping
+from fleetpose.hmi_client.model.image_buffer import ImageBuffer, Keeping
 from fleetpose.hmi_client.model.matrix import natural
 from fleetpose.hmi_client.model.records import Entry, Pair, Pick, Picture, new_events
-from fleetpose.hmi_client.network.update_log import KeptUpdates
+from fleetpose.hmi_client.network.update_log import UpdateLog
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.messages import (
     Alignment,
@@ -34,7 +34,7 @@ FORGOTTEN_S = 16.0  # an operator's selection is told again at least three times
 SILENT_S = 2.5  # the state comes at 2 to 5 Hz; after this long without it the server counts as gone
 
 
-class Feed(Changes):
+class FleetModel(Changes):
     """The state of a session; `on_...` takes what arrives.
 
     Args:
@@ -49,16 +49,16 @@ class Feed(Changes):
         operator: str,
         session: str | None,
         clock: Callable[[], float],
-        kept: KeptUpdates | None = None,
+        kept: UpdateLog | None = None,
     ) -> None:
         super().__init__(clock)
         self.fleet: FleetState | None = None
         self.status: ServerStatus | None = None
         self.pair: Pair | None = None
-        self._book = Workbook(operator, session, clock=clock, kept=kept)
+        self._book = CorrespondenceModel(operator, session, clock=clock, kept=kept)
         self._poses: dict[str, RobotPose] = {}
         self._alignments: dict[Pair, Alignment] = {}
-        self._gallery = Gallery()
+        self._gallery = ImageBuffer()
         self._unreadable: dict[str, str] = {}
         self._fleet_s: float | None = None
         self._holding: tuple[ViewName, ViewName] | None = None

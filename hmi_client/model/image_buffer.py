@@ -37,7 +37,7 @@ class Frozen:
     told: bool = False
 
 
-class Gallery:
+class ImageBuffer:
     """Per robot the newest picture that the server has taken, those that wait for that, and the
     frozen one that is shown instead.
     """

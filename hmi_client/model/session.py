@@ -9,18 +9,18 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from fleetpose.hmi_client.errors import OperatorError
-from fleetpose.hmi_client.model.fleet_model import Feed
+from fleetpose.hmi_client.model.fleet_model import FleetModel
 from fleetpose.hmi_client.model.matrix import default_threshold_m
 from fleetpose.hmi_client.model.records import HalfPick, Pair, Picture, PixelUV
 from fleetpose.hmi_client.network.outbox import Ticket
-from fleetpose.hmi_client.network.update_log import KeptUpdates
+from fleetpose.hmi_client.network.update_log import UpdateLog
 from fleetpose.protocol.keys import checked_name, ordered_pair
 from fleetpose.protocol.messages import OperatorUpdate, Selection, ViewName
 
 T = TypeVar("T")
 
 
-class OperatorSession(Feed):
+class OperatorSession(FleetModel):
     """State and commands of one operator.
 
     Args:
@@ -38,7 +38,7 @@ class OperatorSession(Feed):
         session: str | None = None,
         clock: Callable[[], float] = time.monotonic,
         threshold_m: float | None = None,
-        kept: KeptUpdates | None = None,
+        kept: UpdateLog | None = None,
     ) -> None:
         super().__init__(checked_name(operator), session, clock, kept)
         self.operator = operator

@@ -7,7 +7,7 @@ from itertools import takewhile
 from typing import Any, Literal
 
 from fleetpose.hmi_client.model.records import Pair, Pick
-from fleetpose.hmi_client.network.update_log import KeptUpdates, Life
+from fleetpose.hmi_client.network.update_log import Life, UpdateLog
 from fleetpose.protocol.keys import new_epoch
 from fleetpose.protocol.messages import OperatorUpdate, Receipts
 
@@ -59,7 +59,7 @@ class Outbox:
     """
 
     def __init__(
-        self, operator: str, session: str | None = None, kept: KeptUpdates | None = None
+        self, operator: str, session: str | None = None, kept: UpdateLog | None = None
     ) -> None:
         self.operator = operator
         self.session = session or new_epoch()
@@ -164,7 +164,7 @@ class Outbox:
         self._keep_all()
         return pointless
 
-    def _take_up(self, kept: KeptUpdates) -> None:
+    def _take_up(self, kept: UpdateLog) -> None:
         """Goes on where the last client was killed. A number that is missing is of an update that
         was held: neither it nor what followed was sent.
         """

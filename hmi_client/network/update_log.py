@@ -36,7 +36,7 @@ class Life:
     updates: tuple[OperatorUpdate, ...]
 
 
-class KeptUpdates:
+class UpdateLog:
     """One operator's file. Not more than one client has it at a time.
 
     It outlives a crash of the client. That of the machine may take the last clicks with it: waiting

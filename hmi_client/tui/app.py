@@ -4,8 +4,8 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from fleetpose.hmi_client.assist.pick_assist import Expected, Guide
-from fleetpose.hmi_client.assist.suggestions import Proposal, Proposals
+from fleetpose.hmi_client.assist.pick_assist import Expected, PickAssist
+from fleetpose.hmi_client.assist.suggestions import Proposal, Suggestions
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.tui import bindings
@@ -59,8 +59,8 @@ class FleetApp(App[None]):
         self._failure = failure
         self._seen: dict[str, int] = {}
         self._late: dict[PanelMixin, float] = {}
-        self.guide = Guide(session)
-        self.proposals = Proposals(session, self.guide)
+        self.guide = PickAssist(session)
+        self.proposals = Suggestions(session, self.guide)
         self._proposed: Proposal | None = None
         self._expected: Expected | None = None
         self.map = MapPanel(session)

@@ -14,7 +14,7 @@ from pathlib import Path
 from fleetpose.hmi_client.cli.connection import Connection
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.session import OperatorSession
-from fleetpose.hmi_client.network.update_log import KeptUpdates
+from fleetpose.hmi_client.network.update_log import UpdateLog
 from fleetpose.hmi_client.recording.file import Recorder
 from fleetpose.hmi_client.tui.app import FleetApp
 from fleetpose.hmi_client.tui.bindings import KeyMap
@@ -184,11 +184,11 @@ def state_folder() -> Path:
     return Path(state) / "fleetpose"
 
 
-def own_updates(where: Connection) -> KeptUpdates | None:
+def own_updates(where: Connection) -> UpdateLog | None:
     """The operator's file of updates on their way, None while another client has it."""
     name = f"updates-{checked_name(where.site)}-{checked_name(where.operator)}.sqlite"
     try:
-        return KeptUpdates(state_folder() / name)
+        return UpdateLog(state_folder() / name)
     except OperatorError as error:
         log.warning("clicks on their way do not outlive a crash: %s", error)
         return None

@@ -59,7 +59,7 @@ class TokenSeen:
 
 
 @dataclass(frozen=True)
-class Noticed:
+class ServerEvent:
     """Something that operators should know, from another thread of the server."""
 
     text: str
@@ -73,7 +73,7 @@ class Asked:
     answer: "Future[Answer]"
 
 
-class Inbox:
+class EventQueue:
     """Subscribes, decodes small messages and stores them.
 
     Args:

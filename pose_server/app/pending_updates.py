@@ -10,7 +10,7 @@ _MOST_WAITING = 1000  # beyond, an operator's client repeats what it sent
 _YOUNG_S = 10.0  # after a start everybody comes back in any order, operators before robots too
 
 
-class Awaiting:
+class PendingUpdates:
     """Updates by the views they wait for.
 
     Args:
@@ -42,7 +42,7 @@ class Awaiting:
         return [self._waiting.pop(key)[0] for key in sorted(ready)]
 
 
-class EarlyUpdates:
+class StartupGrace:
     """Updates about robots that a server has not heard of yet, while it is young.
 
     Args:

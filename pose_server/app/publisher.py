@@ -21,7 +21,7 @@ LONGEST_PAUSE_S = 1.0  # of the fleet's state, however long the last one took
 
 
 @dataclass
-class Teller:
+class FleetPublisher:
     """Publishes what the server knows.
 
     Attributes:
@@ -67,11 +67,13 @@ class Teller:
 
     def correspondences(self, pair: RobotPair) -> None:
         """A pair's whole set."""
-        self.put(self.keys.correspondences(*pair), self.site.book.message(*pair, self.epoch))
+        self.put(
+            self.keys.correspondences(*pair), self.site.correspondences.message(*pair, self.epoch)
+        )
 
     def receipts(self, update: OperatorUpdate) -> None:
         """What became of all updates of an operator's session so far."""
-        receipts = self.site.book.receipts(update, self.epoch)
+        receipts = self.site.correspondences.receipts(update, self.epoch)
         self.put(self.keys.receipts(update.operator), receipts)
 
     def state(self) -> float:

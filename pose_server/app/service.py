@@ -16,16 +16,16 @@ from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.app import queries
 from fleetpose.pose_server.app.event_queue import (
     Asked,
-    Inbox,
+    EventQueue,
     Moved,
-    Noticed,
     Selected,
+    ServerEvent,
     TokenSeen,
     Updated,
 )
 from fleetpose.pose_server.app.metrics import Metrics
-from fleetpose.pose_server.app.pending_updates import Awaiting, EarlyUpdates
-from fleetpose.pose_server.app.publisher import Teller
+from fleetpose.pose_server.app.pending_updates import PendingUpdates, StartupGrace
+from fleetpose.pose_server.app.publisher import FleetPublisher
 from fleetpose.pose_server.app.status import Load, Stages, server_status
 from fleetpose.pose_server.app.topics import Publishers
 from fleetpose.pose_server.app.view_requests import Fetched, FetchedNewest, FetchedWide, Fetcher
@@ -34,7 +34,7 @@ from fleetpose.pose_server.consistency import anchoring
 from fleetpose.pose_server.correspondences.journal import Journal, StoredView
 from fleetpose.pose_server.correspondences.records import JournalError, Session
 from fleetpose.pose_server.correspondences.store import Outcome
-from fleetpose.pose_server.persistence.graph_writer import Keeper, graph_of
+from fleetpose.pose_server.persistence.graph_writer import GraphWriter, graph_of
 from fleetpose.pose_server.persistence.restore import GRAPH
 from fleetpose.pose_server.scheduling import affine_retries
 from fleetpose.pose_server.scheduling.pair_queue import compare_some
@@ -75,18 +75,18 @@ class Service:
         self.stopped = threading.Event()
         self._queue: queue.SimpleQueue[object] = queue.SimpleQueue()
         self._drops = Drops()
-        self._inbox = Inbox(self.keys, self._queue, self._drops)
+        self._events = EventQueue(self.keys, self._queue, self._drops)
         put = Publishers(link).put
-        self._teller = Teller(site, self.keys, settings, self.epoch, put)
-        self._clouds = link.on_bulk(self.keys.cloud("*"), self._inbox.wake)
+        self._publisher = FleetPublisher(site, self.keys, settings, self.epoch, put)
+        self._clouds = link.on_bulk(self.keys.cloud("*"), self._events.wake)
         pool = ClusterPool(settings.cluster) if settings.cluster else LocalPool(settings.workers)
         self._engine = Engine(pool, self._queue.put)
         self._fetcher = Fetcher(self.keys, link.query, self._queue.put, self._drops)
-        self._awaiting = Awaiting(self._fetcher.ask)
-        self._early = EarlyUpdates(time.monotonic(), self._is_known)
+        self._pending = PendingUpdates(self._fetcher.ask)
+        self._early = StartupGrace(time.monotonic(), self._is_known)
         self._load = Load(time.monotonic())
-        self._keeper = Keeper(
-            settings.state_dir / GRAPH, lambda said: self._queue.put(Noticed(said))
+        self._graph_writer = GraphWriter(
+            settings.state_dir / GRAPH, lambda said: self._queue.put(ServerEvent(said))
         )
         self._stages = Stages()
         self._metrics = None if settings.metrics is None else Metrics(settings.metrics)
@@ -113,22 +113,22 @@ class Service:
             remedy="end that server, choose another --site, or start with --takeover",
             takeover=self.settings.takeover,
         )
-        self._inbox.subscribe(self.link)
+        self._events.subscribe(self.link)
         self.link.queryable(self.keys.relative, partial(self._ask, queries.relative))
         self.link.queryable(self.keys.why, partial(self._ask, queries.why))
         view = partial(queries.journalled_view, self.journal)
         self.link.queryable(self.keys.server_view, view)
         self.site.say(f"server {self.epoch} started with {self.settings.workers} workers")
         log.info("serving site=%s epoch=%s", self.settings.site, self.epoch)
-        for pair in self.site.book.pairs():
-            self._teller.correspondences(pair)
+        for pair in self.site.correspondences.pairs():
+            self._publisher.correspondences(pair)
         while not self.stopped.is_set():
             presence.check()
             self._read_events()
             self._read_clouds()
             self._start_jobs()
             self._solve_if_due()
-            self._teller.moved()
+            self._publisher.moved()
             self._publish_steadily()
 
     def close(self) -> None:
@@ -137,8 +137,8 @@ class Service:
             self._metrics.close()
         self._fetcher.close()
         self._engine.close()
-        self._keeper.offer(graph_of(self.site))
-        self._keeper.close()
+        self._graph_writer.offer(graph_of(self.site))
+        self._graph_writer.close()
         self.link.close()
         self.journal.close()
 
@@ -147,7 +147,7 @@ class Service:
         work must not wait for ever behind a flood.
         """
         with suppress(queue.Empty):
-            waiting = len(self._clouds) or self.site.agenda.to_compare
+            waiting = len(self._clouds) or self.site.pair_queue.to_compare
             event = self._queue.get(timeout=0.0 if waiting else _TICK_S)
             end_s = time.monotonic() + _TICK_S
             while True:
@@ -181,7 +181,7 @@ class Service:
                 self._token(event)
             case Moved():
                 self.site.odometers.note(event.odometry)
-            case Noticed():
+            case ServerEvent():
                 self.site.say(event.text)
             case Asked():
                 event.answer.set_result(event.reply())
@@ -249,7 +249,7 @@ class Service:
         i, j = done.job.i.name, done.job.j.name
         if i.robot != j.robot:
             result = done.outcome
-            self._teller.alignment(i, j, result)
+            self._publisher.alignment(i, j, result)
             found = (result.verdict, result.start, result.inliers, "; ".join(result.reasons))
             log.info("aligned i=%s j=%s verdict=%s start=%s inliers=%d reasons=%s", i, j, *found)
 
@@ -262,7 +262,7 @@ class Service:
             return
         views = {view for view in (update.view_i, update.view_j) if view is not None}
         missing = {view for view in views if view not in self.site.views and self._lives(view)}
-        if missing and self._awaiting.parks(update, missing):
+        if missing and self._pending.parks(update, missing):
             return
         try:
             outcomes = pipeline.receive_update(self.site, update)
@@ -281,9 +281,9 @@ class Service:
     def _answer_operators(self) -> None:
         """Receipts are cumulative and sets whole: one of each does for all updates of a turn."""
         for update in self._unanswered.values():
-            self._teller.receipts(update)
+            self._publisher.receipts(update)
         for pair in filter(self.site.knows, self._untold):
-            self._teller.correspondences(pair)
+            self._publisher.correspondences(pair)
         self._unanswered.clear()
         self._untold.clear()
 
@@ -313,9 +313,9 @@ class Service:
                 pipeline.receive_fetched(self.site, view)
             except CodecError as error:
                 refused = str(error)
-        for update in self._awaiting.answered(fetched.name, refused):
+        for update in self._pending.answered(fetched.name, refused):
             self._updated(update)
-        if kept is not None and kept.jpeg and fetched.name in self.site.book.views():
+        if kept is not None and kept.jpeg and fetched.name in self.site.correspondences.views():
             encoded = self.site.views[fetched.name].payload
             try:
                 self.journal.keep_view(StoredView(fetched.name, encoded, kept.jpeg, kept.image))
@@ -339,7 +339,7 @@ class Service:
         self._solve_took_s = time.monotonic() - now
         self._solved_s = time.monotonic()
         for pair in pipeline.judge_correspondences(self.site):
-            self._teller.correspondences(pair)
+            self._publisher.correspondences(pair)
 
     def _note_gauge(self) -> None:
         """After a restart the fleet frame must not silently be another one."""
@@ -353,7 +353,7 @@ class Service:
     def _publish_steadily(self) -> None:
         if self._due("state", 1.0 / self.settings.state_hz):
             with self._stages.timed("state"):
-                pause_s = self._teller.state()
+                pause_s = self._publisher.state()
             self._next["state"] = max(self._next["state"], time.monotonic() + pause_s)
         if self._due("status", _STATUS_S):
             anchoring.note_anchor(self.site, time.monotonic())
@@ -366,14 +366,14 @@ class Service:
         if self._due("alarms", _ALARMS_S):
             monitor.judge_calibrations(self.site)
         if self._due("graph", _GRAPH_S):
-            self._keeper.offer(graph_of(self.site))
+            self._graph_writer.offer(graph_of(self.site))
         if self._due("prune", _PRUNE_S):
             self._prune()
 
     def _publish_status(self, drops: dict[str, int]) -> None:
-        now = self._teller.stamp()
+        now = self._publisher.stamp()
         status = server_status(self.site, self._engine, self._load, self._stages, now, drops)
-        self._teller.put(self.keys.status, status)
+        self._publisher.put(self.keys.status, status)
         if self._metrics is not None:
             robots = self.site.robots.values()
             located = sum(
@@ -390,7 +390,7 @@ class Service:
         if not self._unclicked:
             return
         try:
-            self.journal.keep_only_views(self.site.book.views())
+            self.journal.keep_only_views(self.site.correspondences.views())
             self._unclicked = False
         except JournalError as error:
             log.error("unclicked views stay in the journal: %s", error)

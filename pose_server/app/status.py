@@ -91,7 +91,7 @@ def server_status(
         workers=engine.workers,
         pairs_per_s=load.rate(counts.get("alignments", 0), stamp.now_s),
         other_cpu_ms_per_view=1e3 * (_cpu_s() - load.startup_cpu_s) / max(views, 1),
-        max_pair_wait_s=site.agenda.max_wait_s,
+        max_pair_wait_s=site.pair_queue.max_wait_s,
         drops={
             **drops,
             **{name: counts[name] for name in _DROPS if name in counts},
@@ -99,9 +99,9 @@ def server_status(
         },
         version=version("fleetpose"),
         waiting=_waiting(site),
-        wait_share=site.agenda.max_wait_share,
+        wait_share=site.pair_queue.max_wait_share,
         stage_ms=stages.medians_ms(),
-        picked=site.agenda.picked,
+        picked=site.pair_queue.picked,
     )
 
 
@@ -113,9 +113,9 @@ def _cpu_s() -> float:
 def _waiting(site: Site) -> dict[str, int]:
     robots, pairs = site.robots.values(), site.pairs.values()
     return {
-        **{line: len(turns) for line, turns in site.agenda.lines.items()},
+        **{line: len(turns) for line, turns in site.pair_queue.lines.items()},
         "clicks": sum(record.clicks_due for record in pairs),
         "search": sum(record.search_due for record in pairs),
-        "compare": len(site.agenda.to_compare),
+        "compare": len(site.pair_queue.to_compare),
         "follow": sum(robot.waiting is not None for robot in robots),
     }

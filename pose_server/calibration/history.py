@@ -10,7 +10,7 @@ from fleetpose.pose_server.calibration.clocks import Clocks
 from fleetpose.pose_server.calibration.depth_comparison import DepthErrors
 from fleetpose.pose_server.calibration.findings import RobotPair
 from fleetpose.pose_server.calibration.mirrors import Mirrors
-from fleetpose.pose_server.calibration.time_offset import Moments
+from fleetpose.pose_server.calibration.time_offset import TimeOffsets
 
 Floats = npt.NDArray[np.floating]
 
@@ -19,7 +19,7 @@ MAX_PARTNERS = 24
 
 
 @dataclass(frozen=True)
-class Said:
+class DepthStatement:
     """One comparison: views i and j, and at what rate each robot went forward then, shares of the
     depth in a second (nan where it is not known).
     """
@@ -30,7 +30,7 @@ class Said:
 
 
 @dataclass
-class Memory:
+class DepthHistory:
     """The newest comparisons of every two robots; the oldest partners of a robot make room.
 
     Attributes:
@@ -43,16 +43,16 @@ class Memory:
 
     changed: bool = False
     compared: bool = False
-    moments: Moments = field(default_factory=Moments)
+    moments: TimeOffsets = field(default_factory=TimeOffsets)
     mirrors: Mirrors = field(default_factory=Mirrors)
     clocks: Clocks = field(default_factory=Clocks)
-    _pairs: dict[RobotPair, deque[Said]] = field(default_factory=dict)
+    _pairs: dict[RobotPair, deque[DepthStatement]] = field(default_factory=dict)
 
-    def note(self, i: str, j: str, said: Said) -> None:
+    def note(self, i: str, j: str, said: DepthStatement) -> None:
         """Keeps a comparison of a view of robot i with one of robot j."""
         self.changed = self.compared = True
         if j < i:
-            said = Said(said.errors.swapped(), said.rate_j, said.rate_i)
+            said = DepthStatement(said.errors.swapped(), said.rate_j, said.rate_i)
             i, j = j, i
         kept = self._pairs.pop((i, j), deque(maxlen=KEPT_PER_PAIR))
         kept.append(said)
@@ -118,10 +118,13 @@ class Memory:
         scales, sigmas, rates = np.array(rows, np.float64).reshape(-1, 3).T
         return scales, sigmas, rates
 
-    def _of(self, robot: str) -> Iterator[tuple[str, list[Said]]]:
+    def _of(self, robot: str) -> Iterator[tuple[str, list[DepthStatement]]]:
         """Partners of a robot and what was said, the robot being i."""
         for (a, b), said in self._pairs.items():
             if robot == a:
                 yield b, list(said)
             elif robot == b:
-                yield a, [Said(one.errors.swapped(), one.rate_j, one.rate_i) for one in said]
+                yield (
+                    a,
+                    [DepthStatement(one.errors.swapped(), one.rate_j, one.rate_i) for one in said],
+                )

@@ -16,7 +16,7 @@ from fleetpose.pose_server.calibration.findings import (
     time_offset,
     wrong_scales,
 )
-from fleetpose.pose_server.calibration.history import Said
+from fleetpose.pose_server.calibration.history import DepthStatement
 from fleetpose.pose_server.consistency.anchoring import anchor_alarms
 from fleetpose.pose_server.consistency.doubts import doubt_alarms
 from fleetpose.pose_server.geometry.features.motion import Mask
@@ -44,7 +44,11 @@ def note_depths(site: Site, done: Done) -> None:
     i, j = done.job.i.name, done.job.j.name
     if done.result is None or done.result.depths is None or i.robot == j.robot:
         return
-    site.depths.note(i.robot, j.robot, Said(done.result.depths, pace(site, i), pace(site, j)))
+    site.depths.note(
+        i.robot,
+        j.robot,
+        DepthStatement(done.result.depths, forward_speed(site, i), forward_speed(site, j)),
+    )
 
 
 def note_mirror(site: Site, done: Done) -> None:
@@ -56,7 +60,7 @@ def note_mirror(site: Site, done: Done) -> None:
     site.depths.changed |= site.depths.mirrors.note(i, j, result.mirrored)
 
 
-def note_moment(site: Site, done: Done) -> None:
+def note_time_offset(site: Site, done: Done) -> None:
     """Keeps what an alignment of a robot's own views says of when its depths are measured."""
     if done.result is not None and done.result.shift is not None:
         site.depths.moments.note(done.job.i.name, done.job.j.name, done.result.shift)
@@ -96,8 +100,8 @@ def judge_calibrations(site: Site) -> None:
     site.depths.changed = False
     if site.depths.compared:
         site.depths.compared = False
-        site.bends = tuple(_of_bends(site))
-    alarms = list(site.bends)
+        site.depth_distortions = tuple(_of_bends(site))
+    alarms = list(site.depth_distortions)
     bent = {alarm.robot for alarm in alarms}
     alarms += _of_scales(site, bent)
     alarms += _of_skews(site, bent)
@@ -111,7 +115,7 @@ def judge_calibrations(site: Site) -> None:
             log.warning("alarm robot=%s kind=%s text=%s", alarm.robot, alarm.kind, alarm.text)
 
 
-def pace(site: Site, view: ViewName) -> float:
+def forward_speed(site: Site, view: ViewName) -> float:
     """By what share of the depth a robot went forward in a second around a view, nan where that is
     not known.
     """

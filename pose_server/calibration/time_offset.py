@@ -26,7 +26,7 @@ _MAD_SIGMA = 1.4826
 
 
 @dataclass
-class Moments:
+class TimeOffsets:
     """The newest shifts of each robot's views against its keyframes, and how fast their images
     moved, px/s, where that is known.
     """
@@ -70,10 +70,10 @@ class Moments:
         if len(rows) < _LEAST_MEASURED:
             return None
         shifts, sigmas, flows = (np.array(part) for part in zip(*rows, strict=True))
-        return moment_offset(shifts, sigmas, flows)
+        return depth_time_offset(shifts, sigmas, flows)
 
 
-def moment_offset(shifts: Floats, sigmas: Floats, flows: Floats) -> Estimate | None:
+def depth_time_offset(shifts: Floats, sigmas: Floats, flows: Floats) -> Estimate | None:
     """How much older depths are than images, seconds.
 
     Args:

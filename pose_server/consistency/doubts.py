@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from fleetpose.pose_server.frontend.tracks import Attached, moved
+from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose, moved
 from fleetpose.pose_server.geometry.noise import chi2_limit
 from fleetpose.pose_server.geometry.se3 import (
     compose_covariance,
@@ -73,7 +73,7 @@ def camera_frozen(site: Site, robot: Robot, view: KeptView) -> bool:
     return True
 
 
-def wheels_disagree(site: Site, robot: Robot, here: Attached) -> bool:
+def wheels_disagree(site: Site, robot: Robot, here: KeyframeRelativePose) -> bool:
     """Whether a view hangs where pixels stood still while the robot's odometry drove on: then one
     of both is wrong. Said when a second view shows it as well.
 
@@ -156,7 +156,9 @@ def _believe(site: Site, name: str, kinds: Collection[Kind], why: str) -> None:
         site.say(f"{name} {why}")
 
 
-def _is_over(site: Site, stood: Standstill, here: Attached, moment: Moment | None) -> bool:
+def _is_over(
+    site: Site, stood: Standstill, here: KeyframeRelativePose, moment: Moment | None
+) -> bool:
     """Whether pixels and odometry agree again, or too little was heard to say that they do not."""
     kept = site.views[here.view]
     if _shown(stood.at, here, kept.median_depth_m) > _STILL:
@@ -166,10 +168,12 @@ def _is_over(site: Site, stood: Standstill, here: Attached, moment: Moment | Non
     return not _contradict(kept, (stood.at, stood.moment), here, moment)
 
 
-def _a_while_before(site: Site, robot: Robot, here: Attached) -> tuple[Attached, Moment] | None:
+def _a_while_before(
+    site: Site, robot: Robot, here: KeyframeRelativePose
+) -> tuple[KeyframeRelativePose, Moment] | None:
     """The oldest of the robot's views of the last seconds that hangs on the same keyframe."""
     now_s = site.views[here.view].received_s
-    found: list[tuple[float, Attached, Moment]] = []
+    found: list[tuple[float, KeyframeRelativePose, Moment]] = []
     for other in robot.track.attached.values():
         kept = site.views.get(other.view)
         if kept is None or other.keyframe != here.keyframe or other.view.epoch != here.view.epoch:
@@ -181,7 +185,10 @@ def _a_while_before(site: Site, robot: Robot, here: Attached) -> tuple[Attached,
 
 
 def _contradict(
-    kept: KeptView, before: tuple[Attached, Moment], here: Attached, moment: Moment | None
+    kept: KeptView,
+    before: tuple[KeyframeRelativePose, Moment],
+    here: KeyframeRelativePose,
+    moment: Moment | None,
 ) -> bool:
     """Whether odometry says that the robot drove, beyond its sigma, and pixels that it stood."""
     if moment is None:
@@ -199,7 +206,7 @@ def _contradict(
     return float(xi @ np.linalg.solve(covariance + C_seen, xi)) > chi2_limit(_CHANCE, 6)
 
 
-def _between(a: Attached, b: Attached) -> tuple[Floats, Floats]:
+def _between(a: KeyframeRelativePose, b: KeyframeRelativePose) -> tuple[Floats, Floats]:
     """T_a_b of two views on one keyframe, and its covariance."""
     back = inverse(a.T_keyframe_view)
     T = back @ b.T_keyframe_view
@@ -207,7 +214,7 @@ def _between(a: Attached, b: Attached) -> tuple[Floats, Floats]:
     return T, compose_covariance(back, C_back, b.covariance)
 
 
-def _shown(a: Attached, b: Attached, depth_m: float) -> float:
+def _shown(a: KeyframeRelativePose, b: KeyframeRelativePose, depth_m: float) -> float:
     """How far the robot moved between two views by its pixels, 1 at the border of `far`."""
     if a.keyframe != b.keyframe:
         return np.inf

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 from fleetpose.pose_server.correspondences.store import Kept
-from fleetpose.pose_server.frontend.tracks import Attached
+from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose
 from fleetpose.pose_server.geometry.consensus import OUTLIER_CHI2
 from fleetpose.pose_server.geometry.point_pairs import PointPairs
 from fleetpose.pose_server.geometry.se3 import transform
@@ -33,7 +33,7 @@ def click_factors(site: Site) -> list[ClickFactor]:
     is left out, and so is what it is still to be asked about.
     """
     nodes, before, site.factors = set(site.keyframes()), site.factors, {}
-    for kept in site.book.all():
+    for kept in site.correspondences.all():
         i, j = site.attached(kept.item.view_i), site.attached(kept.item.view_j)
         if i is None or j is None or i.keyframe not in nodes or j.keyframe not in nodes:
             continue
@@ -90,8 +90,10 @@ def clicks_between(site: Site, a: str, b: str) -> tuple[tuple[ViewName, ViewName
     """The keyframes that most of a pair's correspondences hang on, and all of these as seen from
     there, as far as the solution knows how other keyframes of the two robots stand to these.
     """
-    placed: list[tuple[tuple[ViewName, ViewName], Kept, Attached, Attached]] = []
-    for kept in site.book.of(a, b):
+    placed: list[
+        tuple[tuple[ViewName, ViewName], Kept, KeyframeRelativePose, KeyframeRelativePose]
+    ] = []
+    for kept in site.correspondences.of(a, b):
         i, j = site.attached(kept.item.view_i), site.attached(kept.item.view_j)
         if (
             i is not None
@@ -121,9 +123,9 @@ def judge(site: Site) -> list[RobotPair]:
     """
     changed = []
     before, site.judged = site.judged, {}
-    for pair in site.book.pairs():
+    for pair in site.correspondences.pairs():
         by_views: dict[tuple[ViewName, ViewName], list[Kept]] = defaultdict(list)
-        for kept in site.book.of(*pair):
+        for kept in site.correspondences.of(*pair):
             by_views[kept.item.view_i, kept.item.view_j].append(kept)
         verdicts: dict[int, Judgement] = {}
         for views, clicked in by_views.items():
@@ -145,7 +147,7 @@ def judge(site: Site) -> list[RobotPair]:
             else:
                 site.judged[views] = points, T_i_j, refused
                 verdicts |= _judged(site, views, clicked, T_i_j, refused)
-        if site.book.set_status(pair, verdicts):
+        if site.correspondences.set_status(pair, verdicts):
             changed.append(pair)
         _note_contradicted(site, pair)
     return changed
@@ -156,7 +158,7 @@ def _note_contradicted(site: Site, pair: RobotPair) -> None:
     record = site.pair(*pair)
     believed = [
         kept
-        for kept in site.book.of(*pair)
+        for kept in site.correspondences.of(*pair)
         if record.heard.get((kept.item.id, kept.item.revision)) and record.clicks_grave < 1.0
     ]
     wrong = sum(kept.item.status == "outlier" for kept in believed)
@@ -218,13 +220,13 @@ def contradicts(T_i_j: Floats, clicked: PointPairs) -> npt.NDArray[np.bool_]:
     return clicked.distance2(T_i_j) > OUTLIER_CHI2
 
 
-def _carried(here: Attached, p: Floats, C: Floats) -> tuple[Floats, Floats]:
+def _carried(here: KeyframeRelativePose, p: Floats, C: Floats) -> tuple[Floats, Floats]:
     R = here.T_keyframe_view[:3, :3]
     return transform(here.T_keyframe_view, p[None])[0], R @ C @ R.T
 
 
 def _seen(
-    site: Site, view: ViewName, here: Attached, p: Floats, C: Floats
+    site: Site, view: ViewName, here: KeyframeRelativePose, p: Floats, C: Floats
 ) -> tuple[float, float, float, float] | None:
     """(u, v, z, sigma z) of a clicked point in a keyframe of its robot, its own or another one;
     None where that does not have it before its camera, or is not known.

@@ -32,7 +32,7 @@ from fleetpose.protocol.messages import (
     ViewName,
 )
 
-__all__ = ["Book", "Kept", "Outcome"]
+__all__ = ["CorrespondenceStore", "Kept", "Outcome"]
 
 Floats = npt.NDArray[np.floating]
 Judgement = tuple[CorrespondenceStatus, float | None, float | None]
@@ -70,7 +70,7 @@ class Outcome:
     views: tuple[ViewName, ...] = ()
 
 
-class Book:
+class CorrespondenceStore:
     """All live correspondences; made from what the recorder holds.
 
     Raises:

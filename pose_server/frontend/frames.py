@@ -5,7 +5,7 @@ from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
-from fleetpose.pose_server.frontend.tracks import Attached
+from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose
 from fleetpose.pose_server.geometry.se3 import (
     adjoint,
     compose_covariance,
@@ -22,7 +22,9 @@ Floats = npt.NDArray[np.floating]
 _STRAY_RAD_S, _STRAY_SHARE_S = 0.02, 0.02  # of a robot unseen: turn, and way as a share of depth
 
 
-def on_keyframes(result: PairResult, i: Attached, j: Attached) -> tuple[Floats, Floats]:
+def on_keyframes(
+    result: PairResult, i: KeyframeRelativePose, j: KeyframeRelativePose
+) -> tuple[Floats, Floats]:
     """An alignment of two views as one of the keyframes they hang on: T_keyframe_i_keyframe_j and
     its covariance.
     """

@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TypeVar
 
 import numpy as np
-from fleetpose.pose_server.calibration.monitor import note_moment, note_motion
+from fleetpose.pose_server.calibration.monitor import note_motion, note_time_offset
 from fleetpose.pose_server.consistency.doubts import (
     DROVE,
     camera_frozen,
@@ -14,7 +14,7 @@ from fleetpose.pose_server.consistency.doubts import (
     reconsider,
     wheels_disagree,
 )
-from fleetpose.pose_server.frontend.tracks import Attached, accepted, moved, standing
+from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose, accepted, moved, standing
 from fleetpose.pose_server.pose_graph.types import Edge
 from fleetpose.pose_server.registration.refinement import Start
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
@@ -52,23 +52,25 @@ def newest_arrived(site: Site, robot: Robot, view: KeptView) -> None:
         try_again(site, robot, view.received_s)
 
 
-def look_back(site: Site, view: ViewName) -> None:
+def localize_past(site: Site, view: ViewName) -> None:
     """Asks for a kept view, newest or not, to be hung on a keyframe, because an operator looks at
     it or clicked in it.
     """
     robot = site.robots.get(view.robot)
     if robot is None:
         return
-    on_its_way = view in (robot.waiting, robot.tracking, robot.placing) or view in robot.behind
+    on_its_way = (
+        view in (robot.waiting, robot.tracking, robot.past_in_flight) or view in robot.past_queue
+    )
     if view in site.views and site.attached(view) is None and not on_its_way:
-        robot.behind.append(view)
+        robot.past_queue.append(view)
 
 
 def back_job(site: Site) -> Job | None:
     """The next older view that somebody looks at."""
     for robot in site.robots.values():
-        while robot.behind and robot.placing is None:
-            view = robot.behind.pop(0)
+        while robot.past_queue and robot.past_in_flight is None:
+            view = robot.past_queue.pop(0)
             if view not in site.views or site.attached(view) is not None:
                 continue
             robot.track.past.add(view)
@@ -97,7 +99,7 @@ def followed(site: Site, done: Done) -> None:
     robot = site.robot(view.robot)
     past = view in robot.track.past
     if past:
-        robot.placing = None
+        robot.past_in_flight = None
     else:
         robot.tracking = None
     if view not in site.views or keyframe not in site.views:
@@ -107,7 +109,7 @@ def followed(site: Site, done: Done) -> None:
         masks = zip((keyframe, view), done.result.moving, strict=True)
         robot.track.masks |= {name: mask for name, mask in masks if mask is not None}
         note_motion(site, view, done.result.moving[1])
-        note_moment(site, done)
+        note_time_offset(site, done)
         if not past and _is_refuted(site, robot, view, keyframe, done.result):
             return
         depth = site.views[view].median_depth_m
@@ -147,13 +149,13 @@ def new_keyframe(site: Site, robot: Robot, view: ViewName) -> None:
 
 def _try_again(site: Site, robot: Robot, view: ViewName, past: bool) -> None:
     if past:
-        robot.behind.insert(0, view)
+        robot.past_queue.insert(0, view)
     elif robot.waiting is None:
         robot.waiting = view
     else:
         site.count("views_overtaken")
-        if view in site.book.views():
-            look_back(site, view)
+        if view in site.correspondences.views():
+            localize_past(site, view)
 
 
 def _followed_s(site: Site, robot: Robot) -> float:
@@ -169,7 +171,7 @@ def _follow(site: Site, robot: Robot, view: ViewName) -> Job | None:
     keyframe = robot.track.next_try(view, lambda: candidate_views(site, robot, view))
     if keyframe is None or keyframe not in site.views:
         if not past and (here := _by_odometry(site, robot, view)) is not None:
-            robot.track.follow_blindly(here)
+            robot.track.dead_reckon(here)
             new_keyframe(site, robot, view)
             return None
         if robot.track.give_up(view) == "segment":
@@ -183,7 +185,7 @@ def _follow(site: Site, robot: Robot, view: ViewName) -> Job | None:
         return None
     starts: tuple[Start, ...] = ()
     if past:
-        robot.placing = view
+        robot.past_in_flight = view
     else:
         robot.tracking = view
         if robot.track.newest is not None and robot.track.newest.keyframe == keyframe:
@@ -194,7 +196,7 @@ def _follow(site: Site, robot: Robot, view: ViewName) -> Job | None:
     return Job("track", site.views[keyframe].encoded, site.views[view].encoded, starts)
 
 
-def _by_odometry(site: Site, robot: Robot, view: ViewName) -> Attached | None:
+def _by_odometry(site: Site, robot: Robot, view: ViewName) -> KeyframeRelativePose | None:
     """Where a view that aligns with nothing hangs by its robot's own odometry, for a few views in a
     row: a robot that was carried away does not know. One that did not drive would still see what it
     saw: its pixels contradict its wheels.
@@ -215,11 +217,13 @@ def _is_refuted(
     if not accepted(result):
         return False
     assert result.T_i_j is not None and result.covariance is not None
-    here = Attached(view, keyframe, result.T_i_j, result.covariance, result.verdict)
+    here = KeyframeRelativePose(view, keyframe, result.T_i_j, result.covariance, result.verdict)
     return wheels_disagree(site, robot, here)
 
 
-def _moved_by_odometry(site: Site, keyframe: ViewName, view: ViewName) -> Attached | None:
+def _moved_by_odometry(
+    site: Site, keyframe: ViewName, view: ViewName
+) -> KeyframeRelativePose | None:
     """T_keyframe_view of the cameras by what the robot says of its own motion, if it does."""
     before, now = site.views[keyframe], site.views[view]
     a = site.odometers.at(keyframe, before.stamp_ns)
@@ -227,7 +231,7 @@ def _moved_by_odometry(site: Site, keyframe: ViewName, view: ViewName) -> Attach
     if a is None or b is None or keyframe.epoch != view.epoch:
         return None
     T, covariance = camera_motion(a, b, before.camera.T_robot_camera, now.camera.T_robot_camera)
-    return Attached(view, keyframe, T, covariance, "plausible")
+    return KeyframeRelativePose(view, keyframe, T, covariance, "plausible")
 
 
 def _stayed(site: Site, robot: Robot, view: KeptView, keyframe: ViewName | None) -> bool:
@@ -258,7 +262,7 @@ def _ask_for_covariance(site: Site, keyframe: ViewName) -> None:
 def _placed(site: Site, view: ViewName) -> None:
     """An older view hangs somewhere now: clicks that were made in it begin to count."""
     site.robot(view.robot).track.past.discard(view)
-    for kept in site.book.all():
+    for kept in site.correspondences.all():
         if view in (kept.item.view_i, kept.item.view_j):
             site.pair(kept.item.view_i.robot, kept.item.view_j.robot).clicks_due = True
             site.dirty = True
@@ -281,7 +285,7 @@ def _nearer_keyframe(
 
 def _drop_keyframe(site: Site, robot: Robot) -> None:
     """Forgets the oldest keyframe that nothing important hangs on."""
-    clicked = {site.attached(view) for view in site.book.views()}
+    clicked = {site.attached(view) for view in site.correspondences.views()}
     kept = {here.keyframe for here in clicked if here is not None}
     kept |= {site.gauge, robot.track.reference, *site.anchoring.origins}
     oldest = next((view for view in _spare(site, robot) if view not in kept), None)

@@ -26,7 +26,7 @@ _TRIES = 3  # keyframes that a view is tried against before it starts a segment
 
 
 @dataclass(frozen=True)
-class Attached:
+class KeyframeRelativePose:
     """A view hanging on a keyframe (maybe itself): T_keyframe_view of their cameras, covariance
     left.
     """
@@ -58,22 +58,22 @@ class Track:
     """
 
     keyframes: list[ViewName] = field(default_factory=list)
-    attached: dict[ViewName, Attached] = field(default_factory=dict)
+    attached: dict[ViewName, KeyframeRelativePose] = field(default_factory=dict)
     reference: ViewName | None = None
-    newest: Attached | None = None
+    newest: KeyframeRelativePose | None = None
     past: set[ViewName] = field(default_factory=set)
     masks: dict[ViewName, Mask] = field(default_factory=dict)
     motion_s: float = -np.inf
     motion_told: bool = False
     blind: int = 0
     _tried: dict[ViewName, list[ViewName]] = field(default_factory=dict)
-    _fallback: dict[ViewName, Attached] = field(default_factory=dict)
+    _fallback: dict[ViewName, KeyframeRelativePose] = field(default_factory=dict)
 
     def begin(self, view: ViewName) -> None:
         """Makes a view a keyframe that hangs on nothing else."""
         if view not in self.keyframes:
             self.keyframes.append(view)
-        self.hang(Attached(view, view, np.eye(4), np.zeros((6, 6)), "verified"))
+        self.hang(KeyframeRelativePose(view, view, np.eye(4), np.zeros((6, 6)), "verified"))
 
     def recall(self, view: ViewName) -> None:
         """Makes a view of an earlier life a keyframe, without taking it for where the robot is
@@ -81,9 +81,11 @@ class Track:
         """
         if view not in self.keyframes:
             self.keyframes.append(view)
-        self.attached[view] = Attached(view, view, np.eye(4), np.zeros((6, 6)), "verified")
+        self.attached[view] = KeyframeRelativePose(
+            view, view, np.eye(4), np.zeros((6, 6)), "verified"
+        )
 
-    def hang(self, here: Attached) -> None:
+    def hang(self, here: KeyframeRelativePose) -> None:
         """Hangs a view on a keyframe; if it is none of the past, the robot is there now."""
         self.attached[here.view] = here
         if here.view not in self.past:
@@ -141,7 +143,7 @@ class Track:
         if not accepted(result) or not sure:
             return "try"
         assert result.T_i_j is not None and result.covariance is not None
-        here = Attached(view, keyframe, result.T_i_j, result.covariance, result.verdict)
+        here = KeyframeRelativePose(view, keyframe, result.T_i_j, result.covariance, result.verdict)
         self.blind = 0
         if not is_far(result, depth_m):
             self.hang(here)
@@ -161,12 +163,12 @@ class Track:
         self.begin(view)
         return "segment"
 
-    def follow_blindly(self, here: Attached) -> None:
+    def dead_reckon(self, here: KeyframeRelativePose) -> None:
         """Makes a view that aligned with nothing a keyframe, where odometry says."""
         self.blind += 1
         self._promote(here)
 
-    def link_of(self, view: ViewName) -> Attached | None:
+    def link_of(self, view: ViewName) -> KeyframeRelativePose | None:
         """For a view that was promoted: how it hung on the keyframe it was aligned with."""
         return self._fallback.pop(view, None)
 
@@ -187,16 +189,18 @@ class Track:
         near = self.keyframe_near(view) if view in self.past else self.reference
         return keyframe == near and keyframe.epoch == view.epoch
 
-    def _promote(self, here: Attached) -> Step:
+    def _promote(self, here: KeyframeRelativePose) -> Step:
         self.begin(here.view)
         self._fallback[here.view] = here
         return "keyframe"
 
 
-def standing(view: ViewName, keyframe: ViewName, sigma_rad: float, sigma_m: float) -> Attached:
+def standing(
+    view: ViewName, keyframe: ViewName, sigma_rad: float, sigma_m: float
+) -> KeyframeRelativePose:
     """Where the view of a robot that did not move hangs."""
     C = np.diag([sigma_rad**2] * 3 + [sigma_m**2] * 3)
-    return Attached(view, keyframe, np.eye(4), C, "verified")
+    return KeyframeRelativePose(view, keyframe, np.eye(4), C, "verified")
 
 
 def accepted(result: PairResult) -> bool:

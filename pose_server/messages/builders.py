@@ -322,7 +322,7 @@ def fleet_state(site: Site, settings: ServerSettings, stamp: Stamp, n: int) -> F
         events=tuple(site.events),
         pinned=site.pinned(),
         alarms=monitor.standing(site),
-        answered=site.asking.answers,
+        answered=site.feedback.answers,
         depth_m=None if site.solution is None else site.depth_m,
     )
 

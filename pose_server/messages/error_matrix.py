@@ -19,9 +19,9 @@ def pair_cells(site: Site, now_s: float) -> tuple[PairCell, ...]:
     roots = _roots(site)
     names = sorted(
         {name for name, robot in site.robots.items() if robot.track.newest is not None}
-        | {name for pair in site.book.pairs() for name in pair if name in site.robots}
+        | {name for pair in site.correspondences.pairs() for name in pair if name in site.robots}
     )
-    clicks = {pair: len(site.book.of(*pair)) for pair in site.book.pairs()}
+    clicks = {pair: len(site.correspondences.of(*pair)) for pair in site.correspondences.pairs()}
     cells = (
         _cell(site, (a, b), clicks.get((a, b), 0), roots, now_s)
         for k, a in enumerate(names)

@@ -95,12 +95,12 @@ def export(
 def _written(site: Site, journal: Journal, out: Path) -> Exported:
     out.mkdir(parents=True, exist_ok=True)
     (out / "README.txt").write_text(README)
-    items = site.book.all()
+    items = site.correspondences.all()
     write_json(out / "correspondences.json", items, anchor=site.anchor)
     write_csv(out / "correspondences.csv", items)
     links = _write_graph(site, out)
     components = _write_trajectories(site, out / "trajectories")
-    views = _write_views(journal, site.book.views(), out / VIEWS)
+    views = _write_views(journal, site.correspondences.views(), out / VIEWS)
     return Exported(len(items), len(site.keyframes()), links, components, views)
 
 

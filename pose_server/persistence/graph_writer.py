@@ -13,7 +13,7 @@ log = logging.getLogger("pose_server")
 _CLOSE_S = 2.0
 
 
-class Keeper:
+class GraphWriter:
     """Keeps the newest graph that it was given; an older one that still waits is dropped for it.
 
     Args:

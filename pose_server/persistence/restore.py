@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from fleetpose.pose_server.correspondences.journal import Journal
-from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.persistence.graph_store import Graph
 from fleetpose.pose_server.pose_graph.types import Edge
 from fleetpose.pose_server.scheduling import pair_queue
@@ -37,7 +37,7 @@ def restored_site(
     revision = int(journal.noted("gauge_revision") or 0)
     site = Site(
         located_sigma=located_sigma,
-        book=Book(journal),
+        correspondences=CorrespondenceStore(journal),
         skip=skip,
         anchor=anchor or before,
         gauge_revision=revision + (anchor is not None and before not in (None, anchor)),
@@ -71,7 +71,7 @@ def restore(
             if edge.kind == "pair":
                 site.pair(edge.a.robot, edge.b.robot).tried[edge.a, edge.b] = {"pair"}
     site.gauge = gauge if gauge is not None and gauge in site.views else None
-    for pair in site.book.pairs():
+    for pair in site.correspondences.pairs():
         site.pair(*pair).clicks_due = True
     site.dirty = bool(keyframes)
 
@@ -85,7 +85,7 @@ def _is_confirmed(site: Site, edge: Edge) -> bool:
     """Whether the clicks that an edge rests on are still there: they may have been erased after it
     was written last.
     """
-    return len(site.book.of(edge.a.robot, edge.b.robot)) >= _FULL_POSE
+    return len(site.correspondences.of(edge.a.robot, edge.b.robot)) >= _FULL_POSE
 
 
 def _opened(name: ViewName, encoded: bytes, now_s: float) -> KeptView | None:

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from fleetpose.pose_server.pose_graph.layout import FleetInput, placed_clicks
 from fleetpose.pose_server.pose_graph.report import solution_of
-from fleetpose.pose_server.pose_graph.robust_optimization import settle
+from fleetpose.pose_server.pose_graph.robust_optimization import robust_optimize
 from fleetpose.pose_server.pose_graph.types import ClickFactor, Edge, FleetSolution, SolveSettings
 from fleetpose.protocol.messages import ViewName
 
@@ -62,7 +62,7 @@ def solve_fleet(
     fresh = _fresh(edges, previous)
     outvoted = 0 if previous is None else previous.outvoted
     layout = state.layout(excluded, known)
-    found = settle(state, layout, excluded, fresh, outvoted)
+    found = robust_optimize(state, layout, excluded, fresh, outvoted)
     judged = found.judged
     for _ in range(_ROUNDS):
         if found.outliers == excluded:
@@ -70,7 +70,7 @@ def solve_fleet(
         excluded = found.outliers  # what they alone held together falls apart
         known = [(nodes[layout.root[k]], T) for k, T in enumerate(found.poses)]
         layout = state.layout(excluded, known)
-        found = settle(state, layout, excluded, frozenset(), found.outvoted)
+        found = robust_optimize(state, layout, excluded, frozenset(), found.outvoted)
         judged |= found.judged
     asked = set(newest.values() if wanted is None else wanted)
     return solution_of(state, layout, found, asked & set(number), judged, previous)

@@ -9,7 +9,7 @@ from fleetpose.pose_server.geometry.se3 import inverse, transform
 from fleetpose.pose_server.pose_graph import factors as gt
 from fleetpose.pose_server.pose_graph.layout import FleetInput, Layout
 from fleetpose.pose_server.pose_graph.links import CONTESTED, VERDICT_OF_RANK, VERIFIED
-from fleetpose.pose_server.pose_graph.robust_optimization import Found, contested_edges
+from fleetpose.pose_server.pose_graph.robust_optimization import RobustFit, contested_edges
 from fleetpose.pose_server.pose_graph.shared_errors import inflations
 from fleetpose.pose_server.pose_graph.types import (
     Bridge,
@@ -27,7 +27,7 @@ from fleetpose.protocol.messages import ViewName
 def solution_of(
     state: FleetInput,
     layout: Layout,
-    found: Found,
+    found: RobustFit,
     wanted: set[ViewName],
     judged: bool,
     previous: FleetSolution | None,
@@ -48,7 +48,7 @@ def solution_of(
     )
 
 
-def _told(state: FleetInput, found: Found) -> dict[tuple[ViewName, ViewName], Told]:
+def _told(state: FleetInput, found: RobustFit) -> dict[tuple[ViewName, ViewName], Told]:
     return {
         (state.nodes[a], state.nodes[b]): (state.clicked[a, b][0].fingerprint(), summary)
         for (a, b), summary in found.told.items()
@@ -58,7 +58,7 @@ def _told(state: FleetInput, found: Found) -> dict[tuple[ViewName, ViewName], To
 def _nodes(
     state: FleetInput,
     layout: Layout,
-    found: Found,
+    found: RobustFit,
     contested: frozenset[int],
     uncertainty: gt.Uncertainty,
     wanted: set[ViewName],
@@ -93,7 +93,7 @@ def _nodes(
     return poses
 
 
-def _grave(layout: Layout, found: Found) -> dict[int, float]:
+def _grave(layout: Layout, found: RobustFit) -> dict[int, float]:
     """Per node the probability that its pose is gravely off beside the root's. Each edge that is
     used is worth what it says itself; clicks that join without an edge are links as well.
     """
@@ -111,7 +111,7 @@ def _components(state: FleetInput, layout: Layout) -> dict[ViewName, tuple[ViewN
 
 
 def _edges(
-    state: FleetInput, found: Found, contested: frozenset[int]
+    state: FleetInput, found: RobustFit, contested: frozenset[int]
 ) -> dict[EdgeKey, EdgeJudgement]:
     unused = EdgeJudgement(0.0, float("nan"), False)
     judgements = {edge.key: unused for edge in state.edges}
@@ -125,7 +125,7 @@ def _edges(
     return judgements
 
 
-def _clicks(state: FleetInput, layout: Layout, found: Found) -> dict[int, ClickJudgement]:
+def _clicks(state: FleetInput, layout: Layout, found: RobustFit) -> dict[int, ClickJudgement]:
     limit = chi2_limit(1 - state.settings.inlier_probability, 3)
     apart = ClickJudgement(False, float("nan"), float("nan"), False)
     judgements = {}
@@ -151,7 +151,7 @@ def _bridge(state: FleetInput, layout: Layout, group: tuple[int, ...]) -> Bridge
 
 
 def _uncertainty(
-    state: FleetInput, layout: Layout, found: Found, wanted: Iterable[ViewName]
+    state: FleetInput, layout: Layout, found: RobustFit, wanted: Iterable[ViewName]
 ) -> gt.Uncertainty:
     """Marginals of the components with wanted nodes, each for itself: a bad one spoils no other.
 
@@ -177,7 +177,7 @@ def _uncertainty(
     return gt.Uncertainty(state.number, found.poses, marginals, layout.root)
 
 
-def _variance_factor(state: FleetInput, layout: Layout, found: Found, root: int) -> float:
+def _variance_factor(state: FleetInput, layout: Layout, found: RobustFit, root: int) -> float:
     """By what a component's edges are to be scaled: the variance of unit weight of its least
     squares, beside what it is where covariances are right.
 

@@ -46,7 +46,7 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class RobustFit:
     """What was settled.
 
     Attributes:
@@ -75,13 +75,13 @@ class Found:
         return frozenset(link.edge for link, out in pairs if out and link.edge is not None)
 
 
-def settle(
+def robust_optimize(
     state: FleetInput,
     layout: Layout,
     excluded: frozenset[int],
     fresh: frozenset[int],
     outvoted: int,
-) -> Found:
+) -> RobustFit:
     """Poses and outliers that fit: every used edge is within the limit, every outlier beyond.
 
     Args:
@@ -195,8 +195,8 @@ class _Problem:
         agreeing[numbers] = inliers | known[numbers]
         return agreeing
 
-    def found(self, fit: Fit, judged: bool, outvoted: int) -> Found:
-        return Found(fit, self.links, self.told, judged, outvoted)
+    def found(self, fit: Fit, judged: bool, outvoted: int) -> RobustFit:
+        return RobustFit(fit, self.links, self.told, judged, outvoted)
 
     def _least_squares(self, out: Bools, start: gtsam.Values) -> Fit:
         kept = [factor for factor, drop in zip(self._factors, out, strict=True) if not drop]
@@ -237,7 +237,7 @@ class _Problem:
         return not (turned or moved)
 
 
-def contested_edges(layout: Layout, found: Found) -> frozenset[int]:
+def contested_edges(layout: Layout, found: RobustFit) -> frozenset[int]:
     """Bridges that an equally trusted edge contradicts: one of the two is wrong, but which?"""
     if not found.fit.out.any():
         return frozenset()

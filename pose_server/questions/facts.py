@@ -9,7 +9,7 @@ import numpy.typing as npt
 from fleetpose.pose_server.frontend.frames import sigma_by_grave
 from fleetpose.pose_server.geometry.se3 import inverse, rotation_angle
 from fleetpose.pose_server.questions import overlap_prior
-from fleetpose.pose_server.questions.overlap_prior import Look, Try
+from fleetpose.pose_server.questions.overlap_prior import Attempt, Look
 from fleetpose.pose_server.questions.ranking import PairFacts, rank_questions
 from fleetpose.pose_server.questions.suggestions import with_suggestions
 from fleetpose.pose_server.scheduling.proposals import similarity
@@ -37,18 +37,18 @@ def questions(site: Site, now_s: float = float("inf")) -> tuple[Question, ...]:
     parts = (
         frozenset(site.solution.components),
         site.anchor,
-        sum(site.asking.in_vain.values()),
+        sum(site.feedback.in_vain.values()),
         tuple(newest.values()),
         tuple(pair for pair in site.pairs if _is_up_to_the_operator(site, *pair)),
     )
-    numbers = site.solution, site.counts.get("alignments", 0), len(site.book.all())
-    asked = site.asking.asked
+    numbers = site.solution, site.counts.get("alignments", 0), len(site.correspondences.all())
+    asked = site.feedback.asked
     another = asked.parts != parts
     if another or (asked.numbers != numbers and now_s >= asked.at_s + _RENEWED_S):
-        asked = site.asking.asked = Asked(parts, numbers, now_s, _ranked(site, newest))
+        asked = site.feedback.asked = Asked(parts, numbers, now_s, _ranked(site, newest))
     if asked.shown is None or now_s >= asked.shown_s + _RENEWED_S:
         asked = replace(asked, shown=with_suggestions(site, asked.questions), shown_s=now_s)
-        site.asking.asked = asked
+        site.feedback.asked = asked
     return asked.shown or ()
 
 
@@ -101,7 +101,7 @@ def _chances(site: Site, newest: dict[str, ViewName]) -> dict[RobotPair, float]:
                 found[pair] = float(seen[m, n])
         for b in roots[k + 1 :]:
             tries = _tries(site, parts[a], parts[b], newest)
-            table = overlap_prior.chances(looks[a], looks[b], tries)
+            table = overlap_prior.overlap_probabilities(looks[a], looks[b], tries)
             for m, first in enumerate(parts[a]):
                 for n, second in enumerate(parts[b]):
                     found[ordered_pair(first, second)] = float(table[m, n])
@@ -136,7 +136,7 @@ def _look(site: Site, view: ViewName) -> Look:
 
 def _tries(
     site: Site, names_a: Sequence[str], names_b: Sequence[str], newest: dict[str, ViewName]
-) -> list[Try]:
+) -> list[Attempt]:
     tries = []
     for m, first in enumerate(names_a):
         for n, second in enumerate(names_b):
@@ -150,7 +150,7 @@ def _tries(
             if record is not None and best is not None and best.T_i_j is not None:
                 T = _carried(site, record, (newest[first], newest[second]))
             odds = overlap_prior.log_odds(None if best is None else best.evidence)
-            tries.append(Try(m, n, T, odds, vain, otherwise))
+            tries.append(Attempt(m, n, T, odds, vain, otherwise))
     return tries
 
 
@@ -180,7 +180,7 @@ def _in_vain(site: Site, pair: RobotPair, newest: dict[str, ViewName]) -> int:
     """How often an operator looked at a pair without a click, in the views it is asked by."""
     record = site.pairs.get(pair, PairRecord())
     shown = [(newest[pair[0]], newest[pair[1]]), record.best_views, record.last_views]
-    return site.asking.times_in_vain([views for views in shown if views is not None])
+    return site.feedback.times_in_vain([views for views in shown if views is not None])
 
 
 def _facts(site: Site, pair: RobotPair, newest: dict[str, ViewName], chance: float) -> PairFacts:
@@ -194,10 +194,10 @@ def _facts(site: Site, pair: RobotPair, newest: dict[str, ViewName], chance: flo
         view_i=newest[pair[0]],
         view_j=newest[pair[1]],
         chance=chance,
-        correspondences=len(site.book.of(*pair)),
+        correspondences=len(site.correspondences.of(*pair)),
         failed=failed,
         in_vain=_in_vain(site, pair, newest),
-        fruitless=site.asking.fruitless(pair),
+        fruitless=site.feedback.fruitless(pair),
         verified=record.best is not None and record.best.verdict == "verified",
         why=_why(pair, record, chance),
     )

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from fleetpose.pose_server.correspondences.store import Outcome
-from fleetpose.pose_server.questions.ranking import CLICKS_TO_JOIN, Standing, standing
+from fleetpose.pose_server.questions.ranking import CLICKS_TO_JOIN, FleetUncertainty, standing
 from fleetpose.pose_server.state.question_feedback import Look, Open
 from fleetpose.pose_server.state.site import Site
 from fleetpose.protocol.keys import ordered_pair
@@ -23,19 +23,19 @@ _MOST_LOOKED = 10_000
 def note_selection(site: Site, selection: Selection, now_s: float) -> None:
     """An operator turns to a pair, or away from one: without a click that was in vain."""
     client = (selection.operator, selection.session)
-    before = site.asking.looks.get(client)
+    before = site.feedback.looks.get(client)
     here = _look(site, selection, now_s)
     if before is not None and here is not None and here.keyframes == before.keyframes:
         return
-    site.asking.looks.pop(client, None)
+    site.feedback.looks.pop(client, None)
     if here is not None:
-        fresh = list(site.asking.looks.items())[-_MOST_CLIENTS + 1 :]
-        site.asking.looks = dict([*fresh, (client, here)])
+        fresh = list(site.feedback.looks.items())[-_MOST_CLIENTS + 1 :]
+        site.feedback.looks = dict([*fresh, (client, here)])
     if before is None or now_s - before.since_s < _LOOKED_S:
         return
-    if len(site.book.of(*before.pair)) > before.correspondences:
+    if len(site.correspondences.of(*before.pair)) > before.correspondences:
         return
-    vain = site.asking.in_vain
+    vain = site.feedback.in_vain
     if before.keyframes in vain or len(vain) < _MOST_LOOKED:
         vain[before.keyframes] = vain.get(before.keyframes, 0) + 1
 
@@ -45,33 +45,33 @@ def note_clicks(site: Site, outcomes: Sequence[Outcome]) -> None:
     for outcome in outcomes:
         if not outcome.accepted or outcome.action != "add":
             continue
-        opened = site.asking.open
+        opened = site.feedback.open
         if opened is None or opened.pair != outcome.pair:
             now = _standing(site)
             if now is None:
                 continue
-            gains = {(q.i, q.j): q.gain for q in site.asking.asked.questions}
+            gains = {(q.i, q.j): q.gain for q in site.feedback.asked.questions}
             opened = Open(outcome.pair, gains.get(outcome.pair, 0.0), now)
-            site.asking.open = opened
-            site.asking.answers = (*site.asking.answers, _answer(opened, now))[-_MOST_ANSWERS:]
+            site.feedback.open = opened
+            site.feedback.answers = (*site.feedback.answers, _answer(opened, now))[-_MOST_ANSWERS:]
         opened.clicks += 1
 
 
 def note_solved(site: Site) -> None:
     """What the clicks of the open pair did so far; an event when it shows."""
-    opened, now = site.asking.open, _standing(site)
+    opened, now = site.feedback.open, _standing(site)
     if opened is None or now is None:
         return
     record = site.pair(*opened.pair)
     answer = _answer(opened, now, record.told)
-    site.asking.answers = (*site.asking.answers[:-1], answer)
+    site.feedback.answers = (*site.feedback.answers[:-1], answer)
     at_work = record.clicks_due or record.running
     if not opened.told and (answer.joined or opened.clicks >= CLICKS_TO_JOIN) and not at_work:
         opened.told = True
         site.say(answer.text)
 
 
-def _standing(site: Site) -> Standing | None:
+def _standing(site: Site) -> FleetUncertainty | None:
     newest = site.newest_keyframes()
     if site.solution is None or not newest:
         return None
@@ -79,7 +79,7 @@ def _standing(site: Site) -> Standing | None:
     return standing(site.solution, newest, depth_m, site.anchor)
 
 
-def _answer(opened: Open, now: Standing, told: str = "") -> Answer:
+def _answer(opened: Open, now: FleetUncertainty, told: str = "") -> Answer:
     """What clicks did; `told` is what the images say of them."""
     i, j = opened.pair
     predicted = opened.predicted_m * opened.clicks
@@ -110,4 +110,4 @@ def _look(site: Site, selection: Selection, now_s: float) -> Look | None:
         return None
     a, b = sorted((at.keyframe for at in here), key=lambda keyframe: keyframe.robot)
     pair = ordered_pair(a.robot, b.robot)
-    return Look(pair, (a, b), now_s, len(site.book.of(*pair)))
+    return Look(pair, (a, b), now_s, len(site.correspondences.of(*pair)))

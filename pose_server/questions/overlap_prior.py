@@ -64,7 +64,7 @@ class Look:
 
 
 @dataclass(frozen=True, eq=False)
-class Try:
+class Attempt:
     """What is known of one pair of views of two parts: indices of the views in either part, the
     pose that was found with the log odds that it is right, how often an operator looked at the pair
     in vain, and the chance that it shares enough if no found pose is right.
@@ -91,7 +91,9 @@ def log_odds(evidence: Evidence | None) -> float:
     )
 
 
-def chances(part_a: Sequence[Look], part_b: Sequence[Look], tries: Sequence[Try]) -> Floats:
+def overlap_probabilities(
+    part_a: Sequence[Look], part_b: Sequence[Look], tries: Sequence[Attempt]
+) -> Floats:
     """(A, B) how likely the views of two parts share enough to click, what an operator saw in other
     pairs included, what they saw in the pair itself left out.
     """
@@ -108,7 +110,7 @@ def chances(part_a: Sequence[Look], part_b: Sequence[Look], tries: Sequence[Try]
     depth_m = float(np.median([look.depth_m for look in (*part_a, *part_b)]))
     for one, T in zip(found, poses, strict=True):
         share, angle_deg = apart(part_a, part_b, T)
-        likely = sees(share, angle_deg)
+        likely = overlap_probability(share, angle_deg)
         aligns = _SURE * share * _falls(angle_deg, _ALIGNS_DEG, _ALIGNS_WIDTH_DEG)
         agree = [
             other is one or alike(T, T_other, depth_m)
@@ -136,7 +138,7 @@ def apart(part_a: Sequence[Look], part_b: Sequence[Look], T_a_b: Floats) -> tupl
     return 0.5 * (forward + backward.T), 0.5 * (angle_a + angle_b.T)
 
 
-def sees(share: Floats, angle_deg: Floats) -> Floats:
+def overlap_probability(share: Floats, angle_deg: Floats) -> Floats:
     """How likely views that stand so share enough to click."""
     return _SURE * share * _falls(angle_deg, _SEEN_DEG, _SEEN_WIDTH_DEG)
 
@@ -177,7 +179,7 @@ def _towards(
     return inside.mean(-1), np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def _between(part_a: Sequence[Look], part_b: Sequence[Look], one: Try) -> Floats:
+def _between(part_a: Sequence[Look], part_b: Sequence[Look], one: Attempt) -> Floats:
     """T_a_b of the two parts by one alignment."""
     assert one.T_a_b is not None
     here, there = part_a[one.a].T_part_camera, part_b[one.b].T_part_camera

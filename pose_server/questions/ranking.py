@@ -64,7 +64,7 @@ class PairFacts:
 
 
 @dataclass(frozen=True)
-class Standing:
+class FleetUncertainty:
     """How well a fleet is known: mean position sigma over its robots, and those that are joined to
     the anchor.
     """
@@ -137,15 +137,15 @@ def standing(
     newest: Mapping[str, ViewName],
     unknown_sigma_m: float,
     anchor: str | None = None,
-) -> Standing:
+) -> FleetUncertainty:
     """How well a fleet is known now; the arguments are those of `rank_questions`."""
     known = {robot: view for robot, view in newest.items() if view in solution.nodes}
     if not known:
-        return Standing(unknown_sigma_m, frozenset())
+        return FleetUncertainty(unknown_sigma_m, frozenset())
     fleet = _Fleet.of(solution, known, anchor, unknown_sigma_m)
     joined = frozenset(robot for robot, root in fleet.root.items() if root == fleet.home)
     sigmas = [fleet.sigma_m[robot] if robot in joined else unknown_sigma_m for robot in newest]
-    return Standing(float(np.mean(sigmas)), joined)
+    return FleetUncertainty(float(np.mean(sigmas)), joined)
 
 
 def _precedence(ask: _Ask) -> tuple[int, float]:

@@ -1,4 +1,4 @@
-"""Aligning two views: several starts, each refined, the best one judged.
+"""Aligning two views: several starts, each refined, the best one evaluate_pose.
 
 All thresholds follow from the noise, the resolution and the median depth; the scene's size never
 matters.
@@ -21,12 +21,12 @@ from fleetpose.pose_server.registration.refinement import (
     from_poses,
     from_start,
     from_surfaces,
-    middle_of,
+    medoid,
     with_icp,
     with_surfaces,
 )
 from fleetpose.pose_server.registration.surfaces import align_surfaces
-from fleetpose.pose_server.registration.verdict.evaluate import PairResult, contested, judged
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult, contested, evaluate_pose
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -167,7 +167,7 @@ def _finished(
     best = best_of(candidates)
     refined = with_icp(pair, best, icp)
     if refined.icp is not None and refined.icp.kept:
-        again = judged(pair, refined.T_i_j, refined.start)
+        again = evaluate_pose(pair, refined.T_i_j, refined.start)
         return replace(again, icp=refined.icp)
     return replace(result, icp=result.icp or refined.icp)
 
@@ -179,10 +179,10 @@ def _needs_icp(result: PairResult) -> bool:
 
 
 def _judge_best(pair: Pair, candidates: Sequence[Candidate], icp: Method) -> PairResult:
-    best = middle_of(pair, candidates)
+    best = medoid(pair, candidates)
     if icp == "gicp":
         best = with_surfaces(pair, best)
-    result = judged(pair, best.T_i_j, best.start, best.T_by_matches)
+    result = evaluate_pose(pair, best.T_i_j, best.start, best.T_by_matches)
     return replace(result, icp=best.icp)
 
 

@@ -75,7 +75,7 @@ def best_of(candidates: Sequence[Candidate]) -> Candidate:
     return max(candidates, key=lambda one: one.score) if len(candidates) > 1 else candidates[0]
 
 
-def middle_of(pair: Pair, candidates: Sequence[Candidate]) -> Candidate:
+def medoid(pair: Pair, candidates: Sequence[Candidate]) -> Candidate:
     """The middle one of the best and those near it that are as good: noise alone decides which of
     these scores best.
     """

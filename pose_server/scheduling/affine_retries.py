@@ -23,9 +23,11 @@ _TRIES, _ONE_IN = 2, 8  # views of two robots tried again: a few, then one in so
 def note_open(site: Site, done: Done) -> None:
     """Files a result that wide sets may settle."""
     i, j = done.job.i.name, done.job.j.name
-    if _is_open(done) and (i, j) not in site.widening.waiting and _may_try(site, i, j):
-        site.widening.waiting[i, j] = done
-        site.widening.tries[i.robot, j.robot] = site.widening.tries.get((i.robot, j.robot), 0) + 1
+    if _is_open(done) and (i, j) not in site.affine_retries.waiting and _may_try(site, i, j):
+        site.affine_retries.waiting[i, j] = done
+        site.affine_retries.tries[i.robot, j.robot] = (
+            site.affine_retries.tries.get((i.robot, j.robot), 0) + 1
+        )
 
 
 def _is_open(done: Done) -> bool:
@@ -40,7 +42,7 @@ def _is_open(done: Done) -> bool:
 
 def _may_try(site: Site, i: ViewName, j: ViewName) -> bool:
     """Whether two views are worth their robots' time."""
-    wide = site.widening
+    wide = site.affine_retries
     if len(wide.waiting) >= _MOST_WAITING or _is_answered(site, i, j):
         return False
     most = _TRIES + site.pair(i.robot, j.robot).alignments // _ONE_IN
@@ -51,7 +53,7 @@ def _may_try(site: Site, i: ViewName, j: ViewName) -> bool:
 
 def wanted(site: Site) -> list[ViewName]:
     """Views whose wide sets are to be asked for now."""
-    wide = site.widening
+    wide = site.affine_retries
     if not wide.waiting or len(wide.asked) >= _MOST_ASKED:
         return []
     ranked = sorted(wide.waiting, key=lambda views: -_likeness(site, *views))
@@ -63,7 +65,7 @@ def wanted(site: Site) -> list[ViewName]:
 
 def receive(site: Site, view: ViewName, payload: bytes | None) -> None:
     """A robot has answered: with the view's wide set, or without."""
-    wide = site.widening
+    wide = site.affine_retries
     wide.asked.discard(view)
     if payload is None:
         wide.refused[view] = None
@@ -77,7 +79,7 @@ def receive(site: Site, view: ViewName, payload: bytes | None) -> None:
 
 def wide_job(site: Site) -> Job | None:
     """A pair that has both its sets. Of one with clicks the clicks are aligned once more."""
-    wide = site.widening
+    wide = site.affine_retries
     for (i, j), done in list(wide.waiting.items()):
         if i not in wide.sets or j not in wide.sets:
             continue
@@ -104,7 +106,7 @@ def _is_answered(site: Site, i: ViewName, j: ViewName) -> bool:
     record = site.pair(i.robot, j.robot)
     if record.best is not None and record.best.verdict == "verified":
         return True
-    return not site.book.has(i.robot, j.robot) and site.joined(i, j)
+    return not site.correspondences.has(i.robot, j.robot) and site.joined(i, j)
 
 
 def _likeness(site: Site, i: ViewName, j: ViewName) -> float:

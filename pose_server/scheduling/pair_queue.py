@@ -18,7 +18,7 @@ from fleetpose.pose_server.scheduling.retries import retries_due
 from fleetpose.pose_server.scheduling.settings import Line
 from fleetpose.pose_server.scheduling.weighted_round_robin import Pick
 from fleetpose.pose_server.scheduling.weights import pair_weight
-from fleetpose.pose_server.state.pair_queue import SHARES, Agenda
+from fleetpose.pose_server.state.pair_queue import SHARES, PairQueue
 from fleetpose.pose_server.state.pairs import PairRecord
 from fleetpose.pose_server.state.robots import Robot
 from fleetpose.pose_server.state.site import Site
@@ -33,36 +33,36 @@ _MOST_UNTRIED = 8  # keyframe pairs of two robots that wait at a time
 
 def note_keyframe(site: Site, view: ViewName) -> None:
     """A new keyframe will be laid beside the others when the fleet is solved."""
-    site.agenda.fresh[view] = None
+    site.pair_queue.fresh[view] = None
 
 
-def appraise(site: Site, now_s: float) -> None:
+def update_priorities(site: Site, now_s: float) -> None:
     """After a solve: lays new keyframes beside the others, and thinks again about those whose
     components were joined or fell apart.
     """
-    agenda, solution = site.agenda, site.solution
+    queue, solution = site.pair_queue, site.solution
     if solution is None:
         return
-    if agenda.roots != (roots := frozenset(solution.components)):
-        agenda.roots = roots
-        sharpening = agenda.lines["sharpening"]
-        for line in agenda.lines.values():
+    if queue.roots != (roots := frozenset(solution.components)):
+        queue.roots = roots
+        sharpening = queue.lines["sharpening"]
+        for line in queue.lines.values():
             for pair in line.waiting():
                 record, joined = site.pairs[pair], line is sharpening
                 if any(site.joined(*views) != joined for views in _waiting(site, record)):
                     _think_again(site, record)
-                    file(site, pair, now_s)
-    agenda.fresh = {view: None for view in agenda.fresh if view in site.views}
-    for view in [view for view in agenda.fresh if view in solution.nodes]:
-        del agenda.fresh[view]
-        _lay_beside(site, view, now_s)
+                    enqueue(site, pair, now_s)
+    queue.fresh = {view: None for view in queue.fresh if view in site.views}
+    for view in [view for view in queue.fresh if view in solution.nodes]:
+        del queue.fresh[view]
+        _propose_pairs(site, view, now_s)
 
 
 def compare_some(site: Site, now_s: float, most: int = 10) -> bool:
     """Compares the looks of so many pairs of views; whether any were left to compare."""
-    agenda, compared = site.agenda, 0
-    while agenda.to_compare and compared < most:
-        a, b = agenda.to_compare.pop()
+    queue, compared = site.pair_queue, 0
+    while queue.to_compare and compared < most:
+        a, b = queue.to_compare.pop()
         if a in site.views and b in site.views and not site.joined(a, b):
             compared += 1
             note_promise(site, a, b, similarity(site, a, b), now_s)
@@ -81,28 +81,28 @@ def note_promise(site: Site, a: ViewName, b: ViewName, promise: float, now_s: fl
     record.untried[views] = promise
     if len(record.untried) > _MOST_UNTRIED:
         del record.untried[min(record.untried, key=lambda one: record.untried[one])]
-    file(site, pair, now_s)
+    enqueue(site, pair, now_s)
 
 
-def file(site: Site, pair: RobotPair, now_s: float) -> None:
+def enqueue(site: Site, pair: RobotPair, now_s: float) -> None:
     """Puts a pair into the line it belongs to, with its weight, or takes it out."""
-    record, agenda = site.pairs[pair], site.agenda
+    record, queue = site.pairs[pair], site.pair_queue
     line, promise = _line_of(site, record)
-    for other, turns in agenda.lines.items():
+    for other, turns in queue.lines.items():
         if other != line:
-            turns.withdraw(pair)
+            turns.remove(pair)
     if line is not None:
         weight = pair_weight(site, pair, record, line, promise)
-        agenda.lines[line].offer(pair, weight, now_s)
+        queue.lines[line].put(pair, weight, now_s)
 
 
 def reweigh(site: Site, pair: RobotPair) -> None:
     """Gives a pair that waits the weight that it has now; it keeps its place in the line."""
-    for line, turns in site.agenda.lines.items():
+    for line, turns in site.pair_queue.lines.items():
         if pair in turns:
             record = site.pairs[pair]
             promise = _line_of(site, record)[1]
-            turns.offer(pair, pair_weight(site, pair, record, line, promise), 0.0)
+            turns.put(pair, pair_weight(site, pair, record, line, promise), 0.0)
 
 
 def try_again(site: Site, robot: Robot, now_s: float) -> None:
@@ -110,35 +110,35 @@ def try_again(site: Site, robot: Robot, now_s: float) -> None:
     once more.
     """
     for pair in retries_due(site, robot, now_s):
-        file(site, pair, now_s)
+        enqueue(site, pair, now_s)
 
 
 def pick(site: Site, now_s: float) -> tuple[RobotPair, ViewPair] | None:
     """The pair whose turn it is, and its most promising keyframes, which are taken off the list."""
-    agenda = site.agenda
+    queue = site.pair_queue
     running = [pair for pair, record in site.pairs.items() if record.running]
-    for line, turns in agenda.lines.items():
+    for line, turns in queue.lines.items():
         if len(turns):
-            agenda.kinds.offer(line, SHARES[line], 0.0)
+            queue.kinds.put(line, SHARES[line], 0.0)
         else:
-            agenda.kinds.withdraw(line)
-    while (kind := agenda.kinds.pick(0.0)) is not None:
-        chosen = agenda.lines[kind.key].pick(now_s, running)
+            queue.kinds.remove(line)
+    while (kind := queue.kinds.pick(0.0)) is not None:
+        chosen = queue.lines[kind.key].pick(now_s, running)
         if chosen is None:
-            agenda.kinds.withdraw(kind.key)  # all of its pairs are at work
+            queue.kinds.remove(kind.key)  # all of its pairs are at work
             continue
         record = site.pairs[chosen.key]
         joining = kind.key != "sharpening"
         waiting = _waiting(site, record)
         fitting = {v: promise for v, promise in waiting.items() if site.joined(*v) != joining}
         if not fitting:
-            file(site, chosen.key, now_s)
+            enqueue(site, chosen.key, now_s)
             continue
         views, promise = max(fitting.items(), key=lambda one: one[1])
         record.untried.pop(views, None)
         record.retry = None  # what fails once more asks for another
-        _note_pick(agenda, kind.key, chosen, promise)
-        file(site, chosen.key, now_s)
+        _note_pick(queue, kind.key, chosen, promise)
+        enqueue(site, chosen.key, now_s)
         return chosen.key, views
     return None
 
@@ -164,13 +164,13 @@ def _waiting(site: Site, record: PairRecord) -> dict[ViewPair, float]:
     return {record.retry: record.retry_promise, **record.untried}
 
 
-def _lay_beside(site: Site, view: ViewName, now_s: float) -> None:
+def _propose_pairs(site: Site, view: ViewName, now_s: float) -> None:
     for other, overlap in by_poses(site, view).items():
         note_promise(site, view, other, overlap, now_s)
     pairs = ((view, other) for other in to_compare(site, view))
     for a, b in pairs:
         if ordered_pair(a.robot, b.robot) not in site.skip:
-            site.agenda.to_compare.append((a, b))
+            site.pair_queue.to_compare.append((a, b))
         else:
             site.pair(a.robot, b.robot)
 
@@ -190,16 +190,16 @@ def _think_again(site: Site, record: PairRecord) -> None:
         del record.untried[views]
 
 
-def _note_pick(agenda: Agenda, line: Line, chosen: Pick[RobotPair], promise: float) -> None:
+def _note_pick(queue: PairQueue, line: Line, chosen: Pick[RobotPair], promise: float) -> None:
     why = {
         "joining": f"may join two components, its views look alike to {promise:.0%}",
         "unlikely": "its views do not look alike, but nothing joins them yet",
         "sharpening": f"would make the fleet firmer, expected overlap {promise:.0%}",
     }[line]
-    agenda.picked = (
+    queue.picked = (
         f"{chosen.key[0]} - {chosen.key[1]}: {why}; waited {chosen.waited_s:.1f} s; "
         f"weight {chosen.weight:.2g} of {chosen.total:.2g}"
     )
-    agenda.max_wait_s = max(agenda.max_wait_s, chosen.waited_s)
+    queue.max_wait_s = max(queue.max_wait_s, chosen.waited_s)
     share = chosen.waited_picks / chosen.most_picks
-    agenda.max_wait_share = max(agenda.max_wait_share, share)
+    queue.max_wait_share = max(queue.max_wait_share, share)

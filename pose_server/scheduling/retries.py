@@ -1,6 +1,6 @@
 """A pair whose last alignment failed is tried again once either robot's view really changed.
 
-A robot that moves far makes a keyframe, which the agenda lays beside all others. One that moves
+A robot that moves far makes a keyframe, which the pair queue lays beside all others. One that moves
 less makes none, and neither does one before which something was put away: both may see now what
 they did not see before. A robot that stands and sees what it saw is not asked again: the answer
 would be the same.

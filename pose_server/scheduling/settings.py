@@ -18,7 +18,7 @@ class Weights:
             error of 1 % of the depth adds it once. Some bound is needed: a pair that is hopelessly
             off must not keep all others waiting.
         retry_s: rest of a pair after an alignment failed, seconds; each failure in a row doubles
-            it. 10 s is what doubles the weight of a pair that waits (`schedule.AGE_S`).
+            it. 10 s is what doubles the weight of a pair that waits (`weighted_round_robin.AGE_S`).
     """
 
     clicks: float = 1.0

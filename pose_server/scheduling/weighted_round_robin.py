@@ -36,7 +36,7 @@ class Pick(Generic[K]):
     most_picks: int
 
 
-class Turns(Generic[K]):
+class WeightedRoundRobin(Generic[K]):
     """Keys that wait for their turn. Times are of one monotonic clock, in seconds."""
 
     def __init__(self) -> None:
@@ -60,7 +60,7 @@ class Turns(Generic[K]):
         """All keys in line, in no order."""
         return list(self._keys)
 
-    def offer(self, key: K, weight: float, now_s: float) -> None:
+    def put(self, key: K, weight: float, now_s: float) -> None:
         """Adds a key, or gives it another weight; it keeps its place in the line.
 
         Raises:
@@ -79,7 +79,7 @@ class Turns(Generic[K]):
         self._base[k] = weight
         self._lightest[k] = min(self._lightest[k], weight)
 
-    def withdraw(self, key: K) -> None:
+    def remove(self, key: K) -> None:
         """Takes a key out of the line, if it is there. What it was ahead or behind is shared."""
         k = self._place.pop(key, None)
         if k is None:

@@ -2,8 +2,8 @@
 
 The method's paper has its scheduler weigh four things: the time since the last alignment, the
 relative pose that is known, the regression error and the operator's correspondences. The time is in
-`schedule.Turns`; the pose is in the line and in what a pair promises (`candidates`); the other two
-are here.
+`weighted_round_robin`; the pose is in the line and in what a pair promises (`proposals`); the other
+two are here.
 """
 
 from fleetpose.pose_server.registration.operator_starts import FULL_POSE
@@ -37,7 +37,7 @@ def pair_weight(
 
 def live_clicks(site: Site, pair: RobotPair, record: PairRecord) -> int:
     """Correspondences of a pair that are neither erased nor contradicted by the images."""
-    items = (kept.item for kept in site.book.of(*pair))
+    items = (kept.item for kept in site.correspondences.of(*pair))
     return sum(record.heard.get((item.id, item.revision)) is not False for item in items)
 
 

@@ -8,7 +8,7 @@ from fleetpose.protocol.messages import ViewName
 
 
 @dataclass
-class Widening:
+class AffineRetries:
     """What waits for wide sets.
 
     Attributes:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from fleetpose.pose_server.frontend.tracks import Attached
+from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose
 from fleetpose.pose_server.state.odometry import Moment
 from fleetpose.protocol.messages import ViewName
 
@@ -35,7 +35,7 @@ class Standstill:
         since_s: when the first view came that contradicts, by the server's monotonic clock.
     """
 
-    at: Attached
+    at: KeyframeRelativePose
     moment: Moment
     since_s: float
 

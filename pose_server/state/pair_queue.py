@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from fleetpose.pose_server.scheduling.settings import Line
-from fleetpose.pose_server.scheduling.weighted_round_robin import Turns
+from fleetpose.pose_server.scheduling.weighted_round_robin import WeightedRoundRobin
 from fleetpose.pose_server.state.pairs import RobotPair, ViewPair
 from fleetpose.protocol.messages import ViewName
 
@@ -15,7 +15,7 @@ _MOST_TO_COMPARE = 20_000
 
 
 @dataclass
-class Agenda:
+class PairQueue:
     """What waits to be aligned between robots.
 
     Attributes:
@@ -29,13 +29,13 @@ class Agenda:
 
     fresh: dict[ViewName, None] = field(default_factory=dict)
     to_compare: deque[ViewPair] = field(default_factory=lambda: deque(maxlen=_MOST_TO_COMPARE))
-    lines: dict[Line, Turns[RobotPair]] = field(
-        default_factory=lambda: {line: Turns() for line in SHARES}
+    lines: dict[Line, WeightedRoundRobin[RobotPair]] = field(
+        default_factory=lambda: {line: WeightedRoundRobin() for line in SHARES}
     )
     picked: str = ""
     max_wait_s: float = 0.0
     max_wait_share: float = 0.0
-    kinds: Turns[Line] = field(default_factory=Turns)
+    kinds: WeightedRoundRobin[Line] = field(default_factory=WeightedRoundRobin)
     roots: frozenset[ViewName] = frozenset()
 
     @property

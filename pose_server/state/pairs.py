@@ -32,7 +32,7 @@ class PairRecord:
         contradicted: what they are told where the solution contradicts those that are believed.
         last: the newest alignment, its views and when it ended: this is what is told of the pair.
         refuted: a solution set a verified edge of the pair aside since then.
-        best: by verdict, then inliers: what the agenda and the questions go by.
+        best: by verdict, then inliers: what the pair queue and the questions go by.
     """
 
     untried: dict[ViewPair, float] = field(default_factory=dict)

@@ -1,9 +1,9 @@
-"""Memory of questions and answers."""
+"""DepthHistory of questions and answers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from fleetpose.pose_server.questions.ranking import CLICKS_TO_JOIN, Standing
+from fleetpose.pose_server.questions.ranking import CLICKS_TO_JOIN, FleetUncertainty
 from fleetpose.pose_server.state.pairs import RobotPair, ViewPair
 from fleetpose.protocol.messages import Answer, Question
 
@@ -35,7 +35,7 @@ class Open:
 
     pair: RobotPair
     predicted_m: float
-    before: Standing
+    before: FleetUncertainty
     clicks: int = 0
     told: bool = False
 
@@ -56,8 +56,8 @@ class Asked:
 
 
 @dataclass
-class Asking:
-    """Memory of questions and answers.
+class QuestionFeedback:
+    """DepthHistory of questions and answers.
 
     Attributes:
         looks: what each operator's client shows now.

@@ -21,8 +21,8 @@ class Robot:
         newest: the newest view received.
         waiting: the newest view that is not tracked yet.
         tracking: the view that a worker follows at present.
-        behind: older views that somebody looks at and that hang nowhere yet.
-        placing: the one of these that a worker is at.
+        past_queue: older views that somebody looks at and that hang nowhere yet.
+        past_in_flight: the one of these that a worker is at.
         camera: of the newest view.
         stamp_ns: of the newest view, by the robot's clock.
         changes: of calibration, and times that the clock went back.
@@ -35,8 +35,8 @@ class Robot:
     newest: ViewName | None = None
     waiting: ViewName | None = None
     tracking: ViewName | None = None
-    behind: list[ViewName] = field(default_factory=list)
-    placing: ViewName | None = None
+    past_queue: list[ViewName] = field(default_factory=list)
+    past_in_flight: ViewName | None = None
     camera: Camera | None = None
     stamp_ns: int = 0
     changes: int = 0

@@ -8,23 +8,23 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 from fleetpose.pose_server.calibration.clocks import LEAST_AHEAD_S
-from fleetpose.pose_server.calibration.history import Memory
+from fleetpose.pose_server.calibration.history import DepthHistory
 from fleetpose.pose_server.correspondences.lifting import Lifter
-from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.frontend.frames import upright
-from fleetpose.pose_server.frontend.tracks import Attached
+from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose
 from fleetpose.pose_server.geometry.icp import Method
 from fleetpose.pose_server.geometry.se3 import compose_covariance, inverse
 from fleetpose.pose_server.pose_graph.types import ClickFactor, Edge, EdgeKey, FleetSolution
 from fleetpose.pose_server.scheduling.settings import Weights
-from fleetpose.pose_server.scheduling.weighted_round_robin import Turns
-from fleetpose.pose_server.state.affine_retries import Widening
+from fleetpose.pose_server.scheduling.weighted_round_robin import WeightedRoundRobin
+from fleetpose.pose_server.state.affine_retries import AffineRetries
 from fleetpose.pose_server.state.doubts import Doubts
 from fleetpose.pose_server.state.odometry import Odometers
 from fleetpose.pose_server.state.origins import Anchoring
-from fleetpose.pose_server.state.pair_queue import Agenda
+from fleetpose.pose_server.state.pair_queue import PairQueue
 from fleetpose.pose_server.state.pairs import PairRecord, RobotPair, ViewPair
-from fleetpose.pose_server.state.question_feedback import Asking
+from fleetpose.pose_server.state.question_feedback import QuestionFeedback
 from fleetpose.pose_server.state.robots import Robot
 from fleetpose.pose_server.state.views import KeptView, ViewStore, same_camera
 from fleetpose.pose_server.workers.jobs import EncodedView, RecipeName
@@ -63,7 +63,7 @@ class Site:
         located_grave: largest probability that a located robot is gravely off.
         recipe, icp: how pairs are aligned, and their clouds brought together.
         pins: by operator and session.
-        agenda: which pairs wait to be aligned.
+        pair_queue: which pairs wait to be aligned.
         weights: what makes them wait for less.
         kinds: of work of which each has its share.
         partners: of each robot, those of which a pair record is there.
@@ -74,19 +74,19 @@ class Site:
         depth_m: median over the keyframes.
         held_back: the newest view of each name whose token was not seen yet.
         depths: what pairs say of the robots' depths.
-        widening: pairs that wait for wide sets of salient points.
-        asking: what became of the questions.
+        affine_retries: pairs that wait for affine keypoints.
+        feedback: what became of the questions.
         odometers: what robots say of their own motion.
         factors: of the last solve, by id of the correspondence, and what they were made of.
         judged: points clicked in two views, the relative pose that they were judged at last, and
             which of them their pair had refused then.
-        bends: those of the alarms that say that a robot's depths bend.
+        depth_distortions: those of the alarms that say that a robot's depths bend.
         doubts: which robots' poses are not believed, and why.
         anchoring: which origins the fleet has had.
         alarms_told: robots and kinds of alarms that were an event already.
     """
 
-    book: Book
+    correspondences: CorrespondenceStore
     skip: frozenset[RobotPair] = frozenset()
     located_sigma: float = 0.05
     located_grave: float = 0.05
@@ -101,9 +101,9 @@ class Site:
     held_back: dict[str, KeptView] = field(default_factory=dict)
     solution: FleetSolution | None = None
     gauge_revision: int = 0
-    agenda: Agenda = field(default_factory=Agenda)
+    pair_queue: PairQueue = field(default_factory=PairQueue)
     weights: Weights = field(default_factory=Weights)
-    kinds: Turns[str] = field(default_factory=Turns)
+    kinds: WeightedRoundRobin[str] = field(default_factory=WeightedRoundRobin)
     depth_m: float = 1.0
     dirty: bool = False
     repetition: float = 0.0
@@ -117,16 +117,16 @@ class Site:
     similarities: dict[ViewPair, float] = field(default_factory=dict)
     components: dict[str, str] = field(default_factory=dict)
     lifter: Lifter = field(default_factory=Lifter)
-    depths: Memory = field(default_factory=Memory)
-    widening: Widening = field(default_factory=Widening)
-    asking: Asking = field(default_factory=Asking)
+    depths: DepthHistory = field(default_factory=DepthHistory)
+    affine_retries: AffineRetries = field(default_factory=AffineRetries)
+    feedback: QuestionFeedback = field(default_factory=QuestionFeedback)
     odometers: Odometers = field(default_factory=Odometers)
     factors: dict[int, tuple[tuple[object, ...], ClickFactor]] = field(default_factory=dict)
     judged: dict[ViewPair, tuple[list[Floats], Floats, tuple[bool, ...]]] = field(
         default_factory=dict
     )
     alarms: tuple[Alarm, ...] = ()
-    bends: tuple[Alarm, ...] = ()
+    depth_distortions: tuple[Alarm, ...] = ()
     alarms_told: set[tuple[str, str]] = field(default_factory=set)
     doubts: Doubts = field(default_factory=Doubts)
     anchoring: Anchoring = field(default_factory=Anchoring)
@@ -144,7 +144,7 @@ class Site:
             SiteFullError: there is none.
         """
         if name not in self.robots and len(self.robots) >= MAX_ROBOTS:
-            left = {view.robot for view in self.book.views()}
+            left = {view.robot for view in self.correspondences.views()}
             gone = [
                 robot.name
                 for robot in self.robots.values()
@@ -161,7 +161,9 @@ class Site:
 
     def knows(self, pair: RobotPair) -> bool:
         """Whether anything is or was between two robots that are known."""
-        return self.book.has(*pair) or (pair[0] in self.robots and pair[1] in self.robots)
+        return self.correspondences.has(*pair) or (
+            pair[0] in self.robots and pair[1] in self.robots
+        )
 
     def pair(self, a: str, b: str) -> PairRecord:
         """The pair's record, made when first needed."""
@@ -204,9 +206,9 @@ class Site:
         set where there is one.
         """
         mask = self.robot(view.robot).track.masks.get(view)
-        return replace(self.views[view].encoded, mask=mask, wide=self.widening.of(view))
+        return replace(self.views[view].encoded, mask=mask, wide=self.affine_retries.of(view))
 
-    def attached(self, view: ViewName) -> Attached | None:
+    def attached(self, view: ViewName) -> KeyframeRelativePose | None:
         """Where a view hangs."""
         robot = self.robots.get(view.robot)
         return None if robot is None else robot.track.attached.get(view)
@@ -215,13 +217,19 @@ class Site:
         """Views that must be kept: keyframes, selected ones, those with correspondences, those in
         work.
         """
-        held = set(self.keyframes()) | self.book.views()
+        held = set(self.keyframes()) | self.correspondences.views()
         for pin in self.pins.values():
             held.update(pin.views)
         for robot in self.robots.values():
-            at_work = (robot.newest, robot.waiting, robot.tracking, robot.placing, *robot.behind)
+            at_work = (
+                robot.newest,
+                robot.waiting,
+                robot.tracking,
+                robot.past_in_flight,
+                *robot.past_queue,
+            )
             held.update(view for view in at_work if view is not None)
-        held.update(view for views in self.widening.waiting for view in views)
+        held.update(view for views in self.affine_retries.waiting for view in views)
         return held
 
     def pin(self, client: tuple[str, str], views: tuple[ViewName, ...], now_s: float) -> None:

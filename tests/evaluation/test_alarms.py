@@ -12,8 +12,8 @@ from fleetpose.evaluation.simulate.world.ring import RingWorld
 from fleetpose.evaluation.simulate.world.robots import HEIGHT, WIDTH
 from fleetpose.pose_server.calibration import monitor
 from fleetpose.pose_server.correspondences.records import BookState
-from fleetpose.pose_server.correspondences.store import Book
-from fleetpose.pose_server.frontend.tracks import Attached
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
+from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose
 from fleetpose.pose_server.registration.align import align_pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView, prepare_view
 from fleetpose.pose_server.state.site import Site
@@ -57,7 +57,7 @@ def seen(robot: str, rig: StereoRig, left, right, seq: int = 0) -> View:
 
 def alarms_with(world: RingWorld, shots, rig: StereoRig) -> Site:
     """The server's site after aligning neighbours, one robot having another rig."""
-    site = Site(Book(NoJournal()))
+    site = Site(CorrespondenceStore(NoJournal()))
     views: dict[str, PreparedView] = {}
     for name, shot in shots.items():
         message = seen(name, rig if name == WRONG else world.rig, shot.left, shot.right)
@@ -145,7 +145,7 @@ def turned_views(world: RingWorld, skew_s: float) -> list[View]:
 @pytest.mark.parametrize("skew_s", [0.2, 0.0])
 def test_depths_that_are_older_than_the_image_are_named(skew_s):
     turning = RingWorld(3, 36.0, seed=3, turning=("r2",))
-    site = Site(Book(NoJournal()))
+    site = Site(CorrespondenceStore(NoJournal()))
     robot = site.robot("r2")
     messages = turned_views(turning, skew_s)
     first, *views = (prepare_view(message).strongest(700) for message in messages)
@@ -158,11 +158,11 @@ def test_depths_that_are_older_than_the_image_are_named(skew_s):
     robot.track.begin(first.name)
     for view in views:
         result = align_pair(first, view)
-        robot.track.attached[view.name] = Attached(
+        robot.track.attached[view.name] = KeyframeRelativePose(
             view.name, first.name, np.eye(4), np.eye(6), "verified"
         )
         job = Job("track", EncodedView(first.name, b""), EncodedView(view.name, b""))
-        monitor.note_moment(site, Done(job, result))
+        monitor.note_time_offset(site, Done(job, result))
         monitor.judge_calibrations(site)
     monitor.judge_calibrations(site)
     if skew_s == 0:

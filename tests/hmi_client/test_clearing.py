@@ -3,7 +3,7 @@
 import pytest
 from fleetpose.hmi_client.assist.deferred_clear import SET_S
 from fleetpose.hmi_client.model.session import OperatorSession
-from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from hmi_fakes import EPOCH, fleet, view
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -25,7 +25,7 @@ class Site:
 
     def __init__(self, *operators: str) -> None:
         self.clock = Clock()
-        self.book = Book(Memory())
+        self.book = CorrespondenceStore(Memory())
         self.sessions = [OperatorSession(name, clock=self.clock) for name in operators]
         for session in self.sessions:
             session.on_fleet(fleet(6))
@@ -74,7 +74,7 @@ def test_a_clear_waits_until_own_clicks_are_in_the_set(site):
     [update] = anna.open_updates()
     assert (update.action, update.n, update.base_revision) == ("clear", 4, 3)
     site.settle(anna)
-    assert clear.accepted and site.book.of(*PAIR) == []
+    assert clear.accepted and site.correspondences.of(*PAIR) == []
     assert anna.entries(PAIR) == []
 
 
@@ -85,7 +85,7 @@ def test_what_follows_a_clear_stays_behind_it(site):
     after = add(anna, 2)
     site.settle(anna)
     assert after.accepted
-    assert [tuple(k.item.pixel_i) for k in site.book.of(*PAIR)] == [(20.0, 20.0)]
+    assert [tuple(k.item.pixel_i) for k in site.correspondences.of(*PAIR)] == [(20.0, 20.0)]
     assert [e.status for e in anna.entries(PAIR)] == ["unused"]
 
 
@@ -96,7 +96,7 @@ def test_a_click_of_another_that_was_not_seen_is_not_cleared(site):
     add(berta, 2), site.settle(berta)
     site.settle(anna)
     assert "changed meanwhile" in clear.reason
-    assert len(site.book.of(*PAIR)) == 2
+    assert len(site.correspondences.of(*PAIR)) == 2
     assert {e.status for e in anna.entries(PAIR)} == {"unused"}
 
 
@@ -111,7 +111,7 @@ def test_a_click_that_another_erased_does_not_hold_a_clear_for_ever(site):
     assert anna.open_updates() == ()
     site.clock.now += SET_S + 0.1
     site.settle(anna)
-    assert clear.accepted and site.book.of(*PAIR) == []
+    assert clear.accepted and site.correspondences.of(*PAIR) == []
 
 
 def test_a_rejected_click_does_not_hold_a_clear(site):
@@ -129,7 +129,7 @@ def test_a_held_clear_can_be_undone(site):
     anna.clear(PAIR)
     assert anna.undo()
     site.settle(anna), site.tell(anna)
-    assert len(site.book.of(*PAIR)) == 2
+    assert len(site.correspondences.of(*PAIR)) == 2
     assert [e.status for e in anna.entries(PAIR)] == ["unused"] * 2
 
 
@@ -138,17 +138,17 @@ def test_a_lost_journal_leaves_a_held_clear_behind_the_clicks_that_are_sent_anew
     add(anna, 1), site.settle(anna)
     add(anna, 2)
     clear = anna.clear(PAIR)
-    site.book = Book(Memory())
+    site.correspondences = CorrespondenceStore(Memory())
     anna.on_fleet(fleet(6, server_epoch="f" * 12))
-    lost = site.book.receipts(anna.open_updates()[0], "f" * 12)
+    lost = site.correspondences.receipts(anna.open_updates()[0], "f" * 12)
     anna.on_receipts(lost)
     assert [(u.n, u.action) for u in anna.open_updates()] == [(1, "add")]
     for _ in range(4):
         site.send(anna)
         if anna.open_updates():
-            anna.on_receipts(site.book.receipts(anna.open_updates()[0], "f" * 12))
-        anna.on_correspondences(site.book.message(*PAIR, "f" * 12))
-    assert clear.accepted and site.book.of(*PAIR) == []
+            anna.on_receipts(site.correspondences.receipts(anna.open_updates()[0], "f" * 12))
+        anna.on_correspondences(site.correspondences.message(*PAIR, "f" * 12))
+    assert clear.accepted and site.correspondences.of(*PAIR) == []
 
 
 def test_an_erase_is_not_sent_to_a_server_that_lost_its_journal(site):
@@ -156,7 +156,7 @@ def test_an_erase_is_not_sent_to_a_server_that_lost_its_journal(site):
     add(anna, 1), site.settle(anna)
     erase = anna.erase(PAIR, anna.entries(PAIR)[0].id)
     anna.on_fleet(fleet(6, server_epoch="f" * 12))
-    anna.on_receipts(Book(Memory()).receipts(erase.update, "f" * 12))
+    anna.on_receipts(CorrespondenceStore(Memory()).receipts(erase.update, "f" * 12))
     assert erase.final and "has lost" in erase.reason  # its id may come to mean another
     assert anna.open_updates() == ()
 
@@ -204,7 +204,7 @@ def test_nothing_is_rejected_for_what_the_same_client_did_and_the_order_holds(de
     clears = [do(site, anna, deed, k, alive) for k, deed in enumerate(deeds, start=1)]
     site.settle(anna)
     assert all(clear.accepted for clear in clears if clear is not None)
-    assert {int(k.item.pixel_i[0] / 10) for k in site.book.of(*PAIR)} == set(alive)
+    assert {int(k.item.pixel_i[0] / 10) for k in site.correspondences.of(*PAIR)} == set(alive)
     site.tell(anna)
     assert {e.status for e in anna.entries(PAIR)} <= {"unused"}
 
@@ -227,5 +227,5 @@ def test_with_undo_and_redo_no_clear_is_rejected_and_all_becomes_final(deeds):
             do(site, anna, deed, k, Any())
     site.settle(anna), site.tell(anna), site.settle(anna), site.tell(anna)
     assert all(clear.accepted for clear in clears if clear is not None)
-    assert len(anna.entries(PAIR)) == len(site.book.of(*PAIR))
+    assert len(anna.entries(PAIR)) == len(site.correspondences.of(*PAIR))
     assert {e.status for e in anna.entries(PAIR)} <= {"unused", "rejected"}

@@ -1,8 +1,8 @@
-"""Frugal output makes the same picture as what it is made of, in fewer bytes."""
+"""TerminalDiff output makes the same picture as what it is made of, in fewer bytes."""
 
 import re
 
-from fleetpose.hmi_client.tui.terminal.terminal_diff import Frugal
+from fleetpose.hmi_client.tui.terminal.terminal_diff import TerminalDiff
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.cells import cell_len
@@ -93,7 +93,7 @@ def written(frame, system) -> str:
 
 @given(FRAMES, SYSTEMS, st.integers(0, 3))
 def test_the_terminal_shows_the_same_after_each_frame(frames, system, forgotten):
-    plain, spared, frugal = Terminal(), Terminal(), Frugal()
+    plain, spared, frugal = Terminal(), Terminal(), TerminalDiff()
     for number, frame in enumerate(frames):
         if number == forgotten:
             frugal.forget()
@@ -109,7 +109,7 @@ def test_the_terminal_shows_the_same_after_each_frame(frames, system, forgotten)
 def test_what_is_there_already_is_not_written_again():
     style = Style(color="#a0b0c0", bgcolor="#102030")
     data = written([(1, 1, [("▀▀▀", style), ("r12", Style())])], ColorSystem.TRUECOLOR)
-    frugal = Frugal()
+    frugal = TerminalDiff()
     assert "r12" in frugal.rewritten(data)
     assert frugal.rewritten(data) == "\x1b[1;1H"
     frugal.forget()
@@ -119,11 +119,11 @@ def test_what_is_there_already_is_not_written_again():
 def test_a_row_of_an_image_costs_less_where_a_colour_stays():
     runs = [("▀", Style(color="#a0b0c0", bgcolor=f"#0000{k:02x}")) for k in range(0, 160, 8)]
     data = written([(1, 1, runs)], ColorSystem.TRUECOLOR)
-    assert len(Frugal().rewritten(data)) < 0.6 * len(data)
+    assert len(TerminalDiff().rewritten(data)) < 0.6 * len(data)
 
 
 def test_what_cannot_be_followed_passes_and_ends_all_knowledge():
-    frugal = Frugal()
+    frugal = TerminalDiff()
     data = written([(1, 1, [("r12", Style(bold=True))])], ColorSystem.TRUECOLOR)
     for other in ("\x1b[?1049h", "\x1b[2J", "plain text", "\x1b]52;c;eA==\a", "\x1b[>1u"):
         frugal.rewritten(data)

@@ -9,7 +9,7 @@ import pytest
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.network.outbox import Outbox
-from fleetpose.hmi_client.network.update_log import KeptUpdates
+from fleetpose.hmi_client.network.update_log import UpdateLog
 from fleetpose.protocol.codec import pack
 from fleetpose.protocol.messages import Receipts, Rejection, ViewName
 
@@ -37,12 +37,12 @@ def file(tmp_path):
 
 def reopened(kept, file):
     kept.close()
-    again = KeptUpdates(file)
+    again = UpdateLog(file)
     return again, Outbox("anna", kept=again)
 
 
 def test_what_is_open_is_offered_again_under_its_number(file):
-    kept = KeptUpdates(file)
+    kept = UpdateLog(file)
     box = Outbox("anna", kept=kept)
     updates = [box.post("add", PAIR, 0, **places(k)).update for k in range(5)]
     box.settle(receipts(box, 2))
@@ -56,7 +56,7 @@ def test_what_is_open_is_offered_again_under_its_number(file):
 
 
 def test_a_clear_that_was_held_is_gone_and_leaves_no_gap(file):
-    kept = KeptUpdates(file)
+    kept = UpdateLog(file)
     box = Outbox("anna", kept=kept)
     box.post("add", PAIR, 0, **places(0))
     box.post("clear", PAIR, 0, held=True)
@@ -67,7 +67,7 @@ def test_a_clear_that_was_held_is_gone_and_leaves_no_gap(file):
 
 
 def test_a_clear_that_was_let_go_is_kept(file):
-    kept = KeptUpdates(file)
+    kept = UpdateLog(file)
     box = Outbox("anna", kept=kept)
     ticket = box.post("clear", PAIR, 7, held=True)
     ticket.held = False
@@ -77,7 +77,7 @@ def test_a_clear_that_was_let_go_is_kept(file):
 
 
 def test_a_late_receipt_does_not_look_like_a_lost_journal_after_a_restart(file):
-    kept = KeptUpdates(file)
+    kept = UpdateLog(file)
     box = Outbox("anna", kept=kept)
     for k in range(4):
         box.post("add", PAIR, 0, **places(k))
@@ -90,27 +90,27 @@ def test_a_late_receipt_does_not_look_like_a_lost_journal_after_a_restart(file):
 
 
 def test_two_clients_do_not_share_a_file(file):
-    kept = KeptUpdates(file)
+    kept = UpdateLog(file)
     with pytest.raises(OperatorError, match="cannot be used"):
-        KeptUpdates(file)
+        UpdateLog(file)
     kept.close()
-    KeptUpdates(file).close()
+    UpdateLog(file).close()
 
 
 def test_a_file_that_is_none_is_said(file):
     file.parent.mkdir()
     file.write_bytes(b"something else" * 100)
     with pytest.raises(OperatorError, match="cannot be used"):
-        KeptUpdates(file)
+        UpdateLog(file)
 
 
 _CHILD = """
 import os, signal, sys
 from pathlib import Path
-from fleetpose.hmi_client.kept import KeptUpdates
+from fleetpose.hmi_client.kept import UpdateLog
 from fleetpose.hmi_client.session import OperatorSession
 from tests.hmi_client.test_kept import places
-session = OperatorSession("anna", kept=KeptUpdates(Path(sys.argv[1])))
+session = OperatorSession("anna", kept=UpdateLog(Path(sys.argv[1])))
 for k in range(20):
     p = places(k)
     session.add(p["view_i"], p["pixel_i"], p["view_j"], p["pixel_j"])
@@ -122,6 +122,6 @@ def test_a_client_that_is_killed_has_every_click(file):
     root = Path(__file__).resolve().parents[2]
     ended = subprocess.run([sys.executable, "-c", _CHILD, str(file)], cwd=root, check=False)
     assert ended.returncode == -signal.SIGKILL
-    session = OperatorSession("anna", kept=KeptUpdates(file))
+    session = OperatorSession("anna", kept=UpdateLog(file))
     assert [update.n for update in session.open_updates()] == list(range(1, 21))
     assert [update.pixel_i[0] for update in session.open_updates()] == list(range(20))

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from fleetpose.hmi_client.assist import picking
-from fleetpose.hmi_client.assist.pick_assist import Guide
+from fleetpose.hmi_client.assist.pick_assist import PickAssist
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.depths import Depths
 from fleetpose.hmi_client.model.records import Picture
@@ -125,7 +125,7 @@ def test_the_other_half_is_expected_where_the_poses_put_it():
     session.on_pose(pose("r1", 0.0, 0.0, n=9))
     session.on_pose(pose("r2", 0.4, 0.0, n=9))  # the camera frame of the fakes is the body's
     session.pick(0, (320.0, 240.0))
-    expected = Guide(session).expected()
+    expected = PickAssist(session).expected()
     assert expected is not None and expected.side == 1
     assert expected.pixel == pytest.approx((320 - 500 * 0.4 / DEPTH_M, 240), abs=1)
 
@@ -135,7 +135,7 @@ def test_without_depth_under_the_pick_a_line_is_told():
     session.on_depths(dense("r1", hole=True)), session.on_depths(dense("r2"))
     session.on_pose(pose("r1", 0.0, 0.0, n=9)), session.on_pose(pose("r2", 0.4, 0.0, n=9))
     session.pick(0, (150.0, 150.0))
-    expected = Guide(session).expected()
+    expected = PickAssist(session).expected()
     assert expected is not None and expected.segment is not None
 
 
@@ -145,14 +145,14 @@ def test_where_poses_do_not_tell_looks_do():
         session.on_pose(pose(robot, 0.0, 0.0, n=9, component=component))
     session.on_alignment(alignment("r1", "r2"))  # rejected: it tells nothing
     session.pick(0, (320.0, 240.0))
-    expected = Guide(session).expected()
+    expected = PickAssist(session).expected()
     assert expected is not None and "alike" in expected.how
     assert expected.pixel == pytest.approx((360, 240), abs=6)
 
 
 def test_places_have_depth_as_far_as_that_is_known():
     session = shown(textured(), textured())
-    guide = Guide(session)
+    guide = PickAssist(session)
     before = guide.places(0, 20, 20, 200)
     session.on_depths(dense("r1", hole=True))
     after = guide.places(0, 20, 20, 200)
@@ -164,7 +164,7 @@ def test_among_scattered_points_the_cursor_snaps_to_one_that_has_depth():
     session = shown(textured(), textured())
     uv, z = np.array([[100.0, 100.0], [300.0, 200.0]]), np.array([2.0, 3.0])
     session.on_depths(Depths.of(cloud_view("r1", encode_scattered(uv, z, 0.001))))
-    assert Guide(session).snap(0, (290.0, 190.0)) == pytest.approx((300, 200))
+    assert PickAssist(session).snap(0, (290.0, 190.0)) == pytest.approx((300, 200))
     session = shown(np.full((480, 640), 90, np.uint8), textured())
     with pytest.raises(OperatorError, match="no corner within 6 px"):
-        Guide(session).snap(0, (290.0, 190.0))
+        PickAssist(session).snap(0, (290.0, 190.0))

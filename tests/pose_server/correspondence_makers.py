@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from fleetpose.pose_server.correspondences.records import BookState, Change, JournalError
-from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.messages import OperatorUpdate, ViewName
 
@@ -61,7 +61,7 @@ def keeps(name: ViewName) -> bool:
     return name.seq < 100
 
 
-class Memory:
+class DepthHistory:
     """A recorder that can be told to fail."""
 
     def __init__(self) -> None:
@@ -77,11 +77,11 @@ class Memory:
         self.changes.append(change)
 
 
-def apply(book: Book, *updates: OperatorUpdate) -> list:
+def apply(book: CorrespondenceStore, *updates: OperatorUpdate) -> list:
     return [outcome for one in updates for outcome in book.apply(one, keeps, lift)]
 
 
-def content(book: Book) -> dict:
+def content(book: CorrespondenceStore) -> dict:
     """All that a book holds, comparable."""
     return {
         "messages": [_message(book, pair) for pair in book.pairs()],
@@ -98,7 +98,7 @@ def content(book: Book) -> dict:
     }
 
 
-def _message(book: Book, pair: tuple[str, str]) -> tuple:
+def _message(book: CorrespondenceStore, pair: tuple[str, str]) -> tuple:
     message = book.message(*pair, EPOCH)
     items = [
         (k.id, k.operator, str(k.view_i), str(k.view_j), *k.pixel_i, *k.pixel_j, k.revision)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from fleetpose.pose_server.correspondences.journal import Journal
-from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.protocol.messages import OperatorUpdate, ViewName
 
 from tests.pose_server.correspondence_makers import EPOCH, add, keeps, lift, update, view
@@ -33,7 +33,7 @@ def encoded(name: ViewName) -> bytes:
 
 def main() -> None:
     """Runs until killed."""
-    book = Book(Journal(Path(sys.argv[1])))
+    book = CorrespondenceStore(Journal(Path(sys.argv[1])))
     n = book.receipts(nth(1), EPOCH).n
     while True:
         n += 1

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from fleetpose.pose_server import pipeline
-from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.geometry.se3 import inverse
 from fleetpose.pose_server.pose_graph.types import Edge
 from fleetpose.pose_server.scheduling import pair_queue
@@ -54,7 +54,7 @@ def standing_at(*yaws_deg: float) -> Site:
 
 
 def line_of(site: Site, a: str, b: str) -> str | None:
-    return next((name for name, line in site.agenda.lines.items() if (a, b) in line), None)
+    return next((name for name, line in site.pair_queue.lines.items() if (a, b) in line), None)
 
 
 def test_views_that_look_alike_may_join_and_others_are_unlikely():
@@ -67,7 +67,7 @@ def test_views_that_look_alike_may_join_and_others_are_unlikely():
     pair, views = pick(site, 1.0)
     assert pair == ("r1", "r2")
     assert {one.robot for one in views} == {"r1", "r2"}
-    assert "may join" in site.agenda.picked and "r1 - r2" in site.agenda.picked
+    assert "may join" in site.pair_queue.picked and "r1 - r2" in site.pair_queue.picked
 
 
 def test_where_poses_are_known_only_what_sees_the_same_is_worth_an_alignment():
@@ -130,6 +130,6 @@ def test_skipped_pairs_never_wait():
 
 
 def test_an_empty_site_has_nothing_to_pick():
-    site = Site(book=Book(Forgetful()))
-    pair_queue.appraise(site, 0.0)
+    site = Site(correspondences=CorrespondenceStore(Forgetful()))
+    pair_queue.update_priorities(site, 0.0)
     assert pick(site, 0.0) is None and not pair_queue.compare_some(site, 0.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.correspondences.records import BookState, Change
-from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.geometry.se3 import inverse
 from fleetpose.pose_server.messages.builders import Stamp, fleet_state
 from fleetpose.pose_server.questions.facts import questions
@@ -44,7 +44,11 @@ def scene():
         view(rng, "r1", points, looks, np.eye(4)),
         view(rng, "r2", points, looks, inverse(T_TRUE)),
     )
-    site = Site(book=Book(Forgetful()), skip=frozenset({("r1", "r2")}), anchor="r1")
+    site = Site(
+        correspondences=CorrespondenceStore(Forgetful()),
+        skip=frozenset({("r1", "r2")}),
+        anchor="r1",
+    )
     for message in messages:
         pipeline.receive_token(site, message.name.robot, message.name.epoch, True)
         kept = open_view(pack(message), encoding_of(View), 0.0)
@@ -104,10 +108,10 @@ def test_a_glance_or_a_look_that_goes_on_or_that_led_to_a_click_is_not_in_vain(s
     look(site, None, 1.0)
     for second in range(10, 60, 10):
         look(site, ("r1", "r2"), float(second))
-    assert not site.asking.in_vain
+    assert not site.feedback.in_vain
     click(site, 1, points[0])
     look(site, None, 100.0)
-    assert not site.asking.in_vain
+    assert not site.feedback.in_vain
 
 
 def test_what_clicks_did_is_told_beside_what_was_expected(scene):
@@ -116,7 +120,7 @@ def test_what_clicks_did_is_told_beside_what_was_expected(scene):
     for n, point in enumerate(points, 1):
         click(site, n, point)
     work(site)
-    (answer,) = site.asking.answers
+    (answer,) = site.feedback.answers
     assert (answer.i, answer.j, answer.clicks, answer.joined) == ("r1", "r2", 3, ("r2",))
     assert np.isclose(answer.predicted, 3 * question.gain)
     assert answer.realised > 0.1
@@ -153,12 +157,12 @@ def test_points_to_confirm_come_with_the_views_that_were_aligned(scene):
 def test_questions_are_ranked_anew_only_when_something_changed(scene):
     site, points = scene
     questions(site)
-    first = site.asking.asked.questions
+    first = site.feedback.asked.questions
     questions(site)
-    assert site.asking.asked.questions is first
+    assert site.feedback.asked.questions is first
     click(site, 1, points[0])
     questions(site)
-    assert site.asking.asked.questions is not first
+    assert site.feedback.asked.questions is not first
 
 
 def test_what_looks_alike_is_suggested_for_a_pair_that_was_never_tried(scene):

@@ -1,6 +1,6 @@
 """Updates wait for what a young server has not heard of yet, and are not refused for it."""
 
-from fleetpose.pose_server.app.pending_updates import EarlyUpdates
+from fleetpose.pose_server.app.pending_updates import StartupGrace
 from fleetpose.protocol.messages import OperatorUpdate, ViewName
 from hypothesis import given
 from hypothesis import strategies as st
@@ -33,7 +33,7 @@ def clear(n: int) -> OperatorUpdate:
 @given(st.lists(st.sampled_from(["r1", "r2", "r3"]), unique=True))
 def test_an_update_waits_exactly_until_both_robots_are_here(arriving):
     here: set[str] = set()
-    early = EarlyUpdates(100.0, lambda view: view.robot in here)
+    early = StartupGrace(100.0, lambda view: view.robot in here)
     assert early.holds(add(1), 100.1) and early.holds(add(1), 100.2)  # repeated by its client
     for robot in arriving:
         before = {"r1", "r2"} <= here
@@ -43,7 +43,7 @@ def test_an_update_waits_exactly_until_both_robots_are_here(arriving):
 
 
 def test_robots_that_never_come_are_not_waited_for_for_ever():
-    early = EarlyUpdates(100.0, lambda _: False)
+    early = StartupGrace(100.0, lambda _: False)
     assert early.holds(add(2), 100.1) and early.holds(add(1), 100.2)
     assert early.ready(109.0) == []
     assert [update.n for update in early.ready(110.0)] == [1, 2]
@@ -51,4 +51,4 @@ def test_robots_that_never_come_are_not_waited_for_for_ever():
 
 
 def test_what_names_no_view_does_not_wait():
-    assert not EarlyUpdates(100.0, lambda _: False).holds(clear(1), 100.1)
+    assert not StartupGrace(100.0, lambda _: False).holds(clear(1), 100.1)

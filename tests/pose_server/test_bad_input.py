@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fleetpose.pose_server import pipeline
-from fleetpose.pose_server.app.event_queue import Inbox, Selected, TokenSeen, Updated
+from fleetpose.pose_server.app.event_queue import EventQueue, Selected, TokenSeen, Updated
 from fleetpose.pose_server.app.topics import Publishers
 from fleetpose.pose_server.app.view_requests import Fetcher
 from fleetpose.pose_server.correspondences.journal import Journal, JournalError, StoredView
@@ -230,7 +230,7 @@ def test_selections_and_updates_of_invented_robots_leave_nothing():
             )
             (outcome,) = pipeline.receive_update(site, update)
             assert not outcome.accepted and "not both known" in outcome.reason
-    assert list(site.robots) == ["r1"] and not site.pairs and not site.book.pairs()
+    assert list(site.robots) == ["r1"] and not site.pairs and not site.correspondences.pairs()
 
 
 def test_a_thousand_tokens_do_not_slow_the_state():
@@ -238,7 +238,7 @@ def test_a_thousand_tokens_do_not_slow_the_state():
     for k in range(900):
         pipeline.receive_token(site, f"ghost-{k}", EPOCH, True)
     asked = []
-    site.book.of = lambda a, b: asked.append((a, b)) or []  # type: ignore[method-assign]
+    site.correspondences.of = lambda a, b: asked.append((a, b)) or []  # type: ignore[method-assign]
     pair_cells(site, 0.0)
     assert not asked
 
@@ -279,7 +279,7 @@ def inbox():
     import queue
 
     store: queue.SimpleQueue[object] = queue.SimpleQueue()
-    return Inbox(KEYS, store, Drops()), store
+    return EventQueue(KEYS, store, Drops()), store
 
 
 UPDATE = OperatorUpdate(
@@ -294,7 +294,7 @@ def test_whatever_operators_send_is_one_drop_each(payload, encoding, key):
     import queue
 
     drops, store = Drops(), queue.SimpleQueue()
-    inbox = Inbox(KEYS, store, drops)
+    inbox = EventQueue(KEYS, store, drops)
     for sent in (
         Sample(KEYS.updates("op"), payload, encoding_of(OperatorUpdate)),
         Sample(KEYS.updates("op"), pack(UPDATE), encoding),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from fleetpose.pose_server.correspondences.records import JournalError
-from fleetpose.pose_server.correspondences.store import MAX_AHEAD, MAX_PER_PAIR, Book
+from fleetpose.pose_server.correspondences.store import MAX_AHEAD, MAX_PER_PAIR, CorrespondenceStore
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,7 +11,7 @@ from tests.pose_server.correspondence_makers import (
     EPOCH,
     OTHER_SESSION,
     SESSION,
-    Memory,
+    DepthHistory,
     add,
     apply,
     content,
@@ -30,7 +30,7 @@ def reason_of(book, one):
 
 
 def test_accepted_click_is_lifted_when_it_arrives_and_published():
-    book = Book(Memory())
+    book = CorrespondenceStore(DepthHistory())
     (outcome,) = apply(book, add(1, 120.0))
     assert outcome.accepted and outcome.pair == ("r1", "r2")
     (kept,) = book.of("r2", "r1")
@@ -43,7 +43,7 @@ def test_accepted_click_is_lifted_when_it_arrives_and_published():
 
 
 def test_repeated_update_changes_nothing():
-    book, recorder = Book(memory := Memory()), memory
+    book, recorder = CorrespondenceStore(memory := DepthHistory()), memory
     apply(book, add(1))
     before = content(book)
     assert apply(book, add(1), add(1, 300.0)) == []
@@ -51,7 +51,7 @@ def test_repeated_update_changes_nothing():
 
 
 def test_early_update_waits_for_the_gap_to_close():
-    book = Book(Memory())
+    book = CorrespondenceStore(DepthHistory())
     assert apply(book, add(3, 300.0), add(2, 200.0)) == []
     assert book.receipts(add(1), EPOCH).n == 0 and book.all() == []
     outcomes = apply(book, add(1, 100.0))
@@ -60,7 +60,7 @@ def test_early_update_waits_for_the_gap_to_close():
 
 
 def test_update_far_ahead_is_not_stored():
-    book = Book(Memory())
+    book = CorrespondenceStore(DepthHistory())
     apply(book, add(MAX_AHEAD), add(MAX_AHEAD + 1))
     assert apply(book, add(1))[-1].n == 1
     assert apply(book, add(2, 200.0))[-1].n == 2
@@ -69,14 +69,14 @@ def test_update_far_ahead_is_not_stored():
 
 
 def test_endless_sessions_do_not_fill_the_memory():
-    book = Book(Memory())
+    book = CorrespondenceStore(DepthHistory())
     for k in range(500):
         apply(book, add(2, session=f"{k:012x}"))
     assert len(book._waiting) <= 64
 
 
 def test_sessions_do_not_wait_for_each_other():
-    book = Book(Memory())
+    book = CorrespondenceStore(DepthHistory())
     apply(book, add(2, 300.0))
     (outcome,) = apply(book, add(1, 200.0, session=OTHER_SESSION))
     assert outcome.accepted
@@ -96,14 +96,14 @@ def test_sessions_do_not_wait_for_each_other():
     ],
 )
 def test_impossible_update_is_finally_rejected_with_its_reason(one, reason):
-    book = Book(Memory())
+    book = CorrespondenceStore(DepthHistory())
     assert reason in reason_of(book, one)
     assert book.all() == [] and book.receipts(one, EPOCH).n == 1
     assert apply(book, one) == []
 
 
 def test_duplicate_within_a_pixel_is_rejected_and_a_neighbour_is_not():
-    book = Book(Memory())
+    book = CorrespondenceStore(DepthHistory())
     apply(book, add(1, 100.0))
     assert "duplicate of correspondence 0" in reason_of(book, add(2, 100.6))
     assert apply(book, add(3, 102.0))[0].accepted
@@ -114,7 +114,7 @@ def test_duplicate_within_a_pixel_is_rejected_and_a_neighbour_is_not():
 
 
 def test_move_keeps_the_id_and_counts_the_revision_up():
-    book = Book(Memory())
+    book = CorrespondenceStore(DepthHistory())
     apply(book, add(1))
     assert apply(book, update("move", 2, 150.0, correspondence=0))[0].accepted
     (kept,) = book.all()
@@ -125,7 +125,7 @@ def test_move_keeps_the_id_and_counts_the_revision_up():
 
 @pytest.mark.parametrize("action", ["move", "erase"])
 def test_change_made_against_an_older_revision_is_rejected(action):
-    book = Book(Memory())
+    book = CorrespondenceStore(DepthHistory())
     apply(book, add(1), update("move", 2, 150.0, correspondence=0))
     late = update(action, 1, 200.0, correspondence=0, base_revision=0, session=OTHER_SESSION)
     reason = reason_of(book, late)
@@ -134,7 +134,7 @@ def test_change_made_against_an_older_revision_is_rejected(action):
 
 
 def test_clear_against_an_older_set_is_rejected_and_else_erases_all():
-    book = Book(Memory())
+    book = CorrespondenceStore(DepthHistory())
     apply(book, add(1), add(2, 200.0), add(3, 300.0, i="r1", j="r3"))
     assert "meanwhile" in reason_of(book, update("clear", 4, base_revision=1))
     assert apply(book, update("clear", 5, base_revision=2))[0].accepted
@@ -143,13 +143,13 @@ def test_clear_against_an_older_set_is_rejected_and_else_erases_all():
 
 
 def test_ids_are_never_given_twice():
-    book = Book(Memory())
+    book = CorrespondenceStore(DepthHistory())
     apply(book, add(1), update("erase", 2, correspondence=0), add(3))
     assert [kept.item.id for kept in book.all()] == [1]
 
 
 def test_pair_takes_only_so_many():
-    book = Book(Memory())
+    book = CorrespondenceStore(DepthHistory())
     columns = np.linspace(0, 500, MAX_PER_PAIR)
     rows = [np.array([0.0, 3.0 * k]) for k in range(MAX_PER_PAIR)]
     for k, (u, pixel) in enumerate(zip(columns, rows, strict=True), 1):
@@ -158,7 +158,7 @@ def test_pair_takes_only_so_many():
 
 
 def test_failed_record_changes_nothing_and_the_repeat_succeeds():
-    book = Book(memory := Memory())
+    book = CorrespondenceStore(memory := DepthHistory())
     apply(book, add(1))
     before = content(book)
     memory.full = True
@@ -171,7 +171,7 @@ def test_failed_record_changes_nothing_and_the_repeat_succeeds():
 
 
 def test_what_was_recorded_before_a_failure_is_told_and_the_rest_waits():
-    book = Book(memory := Memory())
+    book = CorrespondenceStore(memory := DepthHistory())
     apply(book, add(2, 200.0), add(3, 300.0))
     record = memory.record
 
@@ -188,7 +188,7 @@ def test_what_was_recorded_before_a_failure_is_told_and_the_rest_waits():
 
 
 def test_views_that_were_clicked_in_are_recorded_with_the_click():
-    book = Book(memory := Memory())
+    book = CorrespondenceStore(memory := DepthHistory())
     book.apply(add(1), keeps, lift, lambda name: str(name).encode())
     book.apply(add(2, 590.0), keeps, lift, lambda name: str(name).encode())
     assert memory.changes[0].views == {v: str(v).encode() for v in (view("r1"), view("r2"))}
@@ -196,7 +196,7 @@ def test_views_that_were_clicked_in_are_recorded_with_the_click():
 
 
 def test_status_is_no_revision_and_only_news_counts():
-    book = Book(memory := Memory())
+    book = CorrespondenceStore(memory := DepthHistory())
     apply(book, add(1))
     assert book.set_status(("r1", "r2"), {0: ("accepted", 0.1, 2.0), 99: ("outlier", 1.0, 1.0)})
     item = book.all()[0].item
@@ -214,7 +214,7 @@ def test_status_is_no_revision_and_only_news_counts():
 
 
 def test_bug_in_a_lift_is_not_hidden():
-    book = Book(Memory())
+    book = CorrespondenceStore(DepthHistory())
 
     def broken(name, pixel):
         raise ZeroDivisionError
@@ -241,12 +241,12 @@ def scripts(draw):
 @settings(deadline=None, max_examples=60)
 @given(data=st.data(), steps=scripts())
 def test_any_interleaving_with_repeats_and_gaps_gives_the_book_of_the_order(data, steps):
-    ordered = Book(in_order := Memory())
+    ordered = CorrespondenceStore(in_order := DepthHistory())
     apply(ordered, *steps)
     shuffled = data.draw(st.permutations(steps))
     repeats = data.draw(st.lists(st.sampled_from(steps), max_size=10))
     sent = data.draw(st.permutations([*shuffled, *repeats]))
-    mixed = Book(memory := Memory())
+    mixed = CorrespondenceStore(memory := DepthHistory())
     outcomes = apply(mixed, *sent)
     assert [outcome.n for outcome in outcomes] == list(range(1, len(steps) + 1))
     assert content(mixed) == content(ordered)

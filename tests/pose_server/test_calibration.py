@@ -8,7 +8,12 @@ import pytest
 from fleetpose.pose_server.calibration import monitor
 from fleetpose.pose_server.calibration.depth_comparison import DepthErrors, compare_depths
 from fleetpose.pose_server.calibration.findings import bend_of, time_offset, wrong_scales
-from fleetpose.pose_server.calibration.history import KEPT_PER_PAIR, MAX_PARTNERS, Memory, Said
+from fleetpose.pose_server.calibration.history import (
+    KEPT_PER_PAIR,
+    MAX_PARTNERS,
+    DepthHistory,
+    DepthStatement,
+)
 from fleetpose.pose_server.calibration.resection import resection, three_point_poses
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, rotation_angle
@@ -179,8 +184,8 @@ def test_a_clock_offset_is_what_changes_with_the_pace():
 
 def test_memory_is_bounded_and_forgets():
     i, j = observed_pair(np.random.default_rng(10), T_I_J, COUNT)
-    said = Said(compared(i, scaled(j, 1.1), T_I_J), 0.1, float("nan"))
-    memory = Memory()
+    said = DepthStatement(compared(i, scaled(j, 1.1), T_I_J), 0.1, float("nan"))
+    memory = DepthHistory()
     for k in range(MAX_PARTNERS + 5):
         for _ in range(KEPT_PER_PAIR + 3):
             memory.note(f"p{k}", "r1", said)
@@ -208,7 +213,7 @@ def site_with(errors: dict[str, object], stereo: bool = True) -> Site:
         for b in names[k + 1 :]:
             i, j = observed_pair(rng, turned(25.0), COUNT)
             i, j = (errors.get(n, lambda v: v)(v) for n, v in ((a, i), (b, j)))  # pyright: ignore
-            site.depths.note(a, b, Said(compared(i, j), float("nan"), float("nan")))
+            site.depths.note(a, b, DepthStatement(compared(i, j), float("nan"), float("nan")))
     monitor.judge_calibrations(site)
     return site
 

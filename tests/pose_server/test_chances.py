@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 from fleetpose.pose_server.geometry.se3 import inverse, transform
-from fleetpose.pose_server.questions.overlap_prior import Look, Try, apart, chances, log_odds, sees
+from fleetpose.pose_server.questions.overlap_prior import (
+    Attempt,
+    Look,
+    apart,
+    log_odds,
+    overlap_probabilities,
+    overlap_probability,
+)
 from fleetpose.pose_server.registration.verdict.evidence import NO_RIVAL, Evidence
 from fleetpose.pose_server.registration.verdict.explained import Explained
 
@@ -23,12 +30,12 @@ def part(places):
 
 def tried(a, b, odds, wrong=False, **more):
     T = inverse(WORLD[A[a]]) @ WORLD[B[b]]
-    return Try(a, b, T @ FAR if wrong else T, odds, **more)
+    return Attempt(a, b, T @ FAR if wrong else T, odds, **more)
 
 
 def others(*known):
     done = {(one.a, one.b) for one in known}
-    rest = [Try(a, b, None, -6.0) for a in range(3) for b in range(3) if (a, b) not in done]
+    rest = [Attempt(a, b, None, -6.0) for a in range(3) for b in range(3) if (a, b) not in done]
     return [*known, *rest]
 
 
@@ -44,33 +51,37 @@ def test_angle_and_share_are_those_of_the_views():
 
 def test_nearer_views_and_larger_shares_are_likelier():
     angles = np.array([10.0, 60.0, 85.0, 120.0])
-    assert (np.diff(sees(np.ones(4), angles)) < 0).all()
-    assert sees(np.array(0.3), np.array(60.0)) < sees(np.array(0.9), np.array(60.0))
+    assert (np.diff(overlap_probability(np.ones(4), angles)) < 0).all()
+    assert overlap_probability(np.array(0.3), np.array(60.0)) < overlap_probability(
+        np.array(0.9), np.array(60.0)
+    )
 
 
 def test_pose_that_fits_points_at_the_nearest_pair_of_both_parts():
-    table = chances(part(A), part(B), others(tried(0, 1, 2.0)))
+    table = overlap_probabilities(part(A), part(B), others(tried(0, 1, 2.0)))
     assert np.unravel_index(table.argmax(), table.shape) == (2, 0)
 
 
 def test_poses_that_agree_outweigh_a_better_one_that_stands_alone():
     alone = tried(0, 2, 0.5, wrong=True)
     agreeing = [tried(2, 0, -0.5), tried(1, 0, -0.5), tried(2, 1, -0.5)]
-    lonely = chances(part(A), part(B), others(alone, agreeing[0]))
-    table = chances(part(A), part(B), others(alone, *agreeing))
+    lonely = overlap_probabilities(part(A), part(B), others(alone, agreeing[0]))
+    table = overlap_probabilities(part(A), part(B), others(alone, *agreeing))
     assert table[2, 0] > 0.6 and table[2, 0] > lonely[2, 0]
 
 
 def test_hypothesis_loses_where_it_puts_unaligned_views_side_by_side():
-    beside = Try(1, 1, exp_se3(np.array([0.0, 0.05, 0.0, 0.1, 0.0, 0.0])), 1.0, otherwise=0.0)
-    table = chances(part(A), part(B), others(beside))
+    beside = Attempt(1, 1, exp_se3(np.array([0.0, 0.05, 0.0, 0.1, 0.0, 0.0])), 1.0, otherwise=0.0)
+    table = overlap_probabilities(part(A), part(B), others(beside))
     assert table[1, 1] < 0.1
 
 
 @pytest.mark.parametrize("odds", [-3.0, 0.0, 3.0])
 def test_looking_in_vain_makes_the_pairs_beside_less_likely_too(odds):
-    before = chances(part(A), part(B), others(tried(1, 0, odds)))
-    after = chances(part(A), part(B), others(tried(1, 0, odds), tried(2, 0, -6.0, in_vain=1)))
+    before = overlap_probabilities(part(A), part(B), others(tried(1, 0, odds)))
+    after = overlap_probabilities(
+        part(A), part(B), others(tried(1, 0, odds), tried(2, 0, -6.0, in_vain=1))
+    )
     assert (after <= before + 1e-9)[before > 0.2].all()
     assert after[1, 0] < before[1, 0] and after[2, 1] < before[2, 1]
 
@@ -85,7 +96,7 @@ def test_chances_are_probabilities_whatever_is_known():
             for a in range(3)
             for b in range(3)
         ]
-        table = chances(part(A), part(B), known)
+        table = overlap_probabilities(part(A), part(B), known)
         assert ((table >= 0) & (table <= 1)).all()
 
 

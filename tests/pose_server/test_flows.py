@@ -7,7 +7,7 @@ import pytest
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.app.build import read_pairs
 from fleetpose.pose_server.correspondences.records import BookState, Change
-from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.frontend.tracks import Track
 from fleetpose.pose_server.geometry.se3 import inverse
 from fleetpose.pose_server.persistence.restore import restore
@@ -126,7 +126,7 @@ def test_old_views_go_but_not_the_newest_twenty_nor_what_is_held():
 
 
 def site_of(*messages: View, skip: frozenset[tuple[str, str]] = frozenset()) -> Site:
-    site = Site(book=Book(Forgetful()), skip=skip)
+    site = Site(correspondences=CorrespondenceStore(Forgetful()), skip=skip)
     for message in messages:
         pipeline.receive_token(site, message.name.robot, message.name.epoch, True)
         pipeline.receive_view(site, kept(message))
@@ -206,7 +206,7 @@ def test_a_skipped_pair_waits_for_the_operator_whose_clicks_come_first():
     T = site.relative(named(0, "r1"), named(0, "r2"))
     assert T is not None and np.linalg.norm(T[:3, 3] - T_true[:3, 3]) < 0.2
     assert pipeline.judge_correspondences(site) == [("r1", "r2")]
-    assert {kept.item.status for kept in site.book.of("r1", "r2")} == {"accepted"}
+    assert {kept.item.status for kept in site.correspondences.of("r1", "r2")} == {"accepted"}
 
     clear = OperatorUpdate(
         operator="op", session="a" * 12, n=4, action="clear", i="r1", j="r2", base_revision=3
@@ -231,7 +231,7 @@ def test_clicks_on_an_unknown_view_or_without_depth_are_rejected_with_the_reason
 def test_views_of_the_journal_are_keyframes_after_a_restart():
     T_true = turned(15)
     messages, _ = scene_with_points_to_click(np.random.default_rng(6), T_true)
-    site = Site(book=Book(Forgetful()))
+    site = Site(correspondences=CorrespondenceStore(Forgetful()))
     restore(site, [kept(message) for message in messages])
     assert set(site.keyframes()) == {named(0, "r1"), named(0, "r2")}
     assert site.robots["r1"].track.newest is None
@@ -284,5 +284,5 @@ def test_a_correspondence_that_was_moved_is_judged_again_though_no_pose_changed(
     (outcome,) = pipeline.receive_update(site, moved)
     assert outcome.accepted, outcome.reason
     assert pipeline.judge_correspondences(site) == [("r1", "r2")]
-    (first,) = (one.item for one in site.book.of("r1", "r2") if one.item.id == 0)
+    (first,) = (one.item for one in site.correspondences.of("r1", "r2") if one.item.id == 0)
     assert first.residual_px > 20.0

@@ -13,7 +13,7 @@ from fleetpose.pose_server.persistence.graph_store import (
     GraphStoreError,
     read_graph,
 )
-from fleetpose.pose_server.persistence.graph_writer import Keeper, stored_graph
+from fleetpose.pose_server.persistence.graph_writer import GraphWriter, stored_graph
 from fleetpose.pose_server.pose_graph.types import Edge
 from fleetpose.protocol.messages import ViewName
 from fleetpose.protocol.transport import wait_until
@@ -119,7 +119,7 @@ def test_a_damaged_file_is_put_aside(tmp_path):
 
 def test_the_keeper_writes_the_newest_and_ends(tmp_path):
     path, told = tmp_path / "graph.sqlite3", []
-    keeper = Keeper(path, told.append)
+    keeper = GraphWriter(path, told.append)
     for robots in range(2, 40):
         keeper.offer(graph(robots))
     keeper.close()
@@ -129,7 +129,7 @@ def test_the_keeper_writes_the_newest_and_ends(tmp_path):
 
 def test_a_full_disk_is_told_once_and_tried_again(tmp_path):
     path, told = tmp_path / "graph.sqlite3", []
-    keeper = Keeper(path, told.append)
+    keeper = GraphWriter(path, told.append)
     keeper.offer(graph(3))
     assert wait_until(lambda: same(read_graph(path), graph(3)), WAIT_S)
     keeper._store._db.execute("PRAGMA max_page_count = 1").fetchone()

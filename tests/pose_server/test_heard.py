@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from fleetpose.pose_server import pipeline
-from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.geometry.se3 import inverse, transform
 from fleetpose.pose_server.messages.builders import Stamp, fleet_state, robot_pose
 from fleetpose.pose_server.pose_graph.types import Edge
@@ -33,7 +33,11 @@ class Two:
     def __init__(self, blank: bool = False) -> None:
         rng = np.random.default_rng(4)
         points, looks = walls(rng, 3000), descriptors(rng, 3000)
-        self.site = Site(book=Book(Forgetful()), skip=frozenset({("r1", "r2")}), anchor="r1")
+        self.site = Site(
+            correspondences=CorrespondenceStore(Forgetful()),
+            skip=frozenset({("r1", "r2")}),
+            anchor="r1",
+        )
         for name, T in (("r1", np.eye(4)), ("r2", inverse(T_TRUE))):
             message = view(rng, name, points, looks, T)
             if blank:  # the images look like nothing in each other
@@ -82,7 +86,7 @@ class Two:
         return pose is not None and pose.located
 
     def statuses(self) -> list[str]:
-        return [kept.item.status for kept in self.site.book.of("r1", "r2")]
+        return [kept.item.status for kept in self.site.correspondences.of("r1", "r2")]
 
 
 def state(site):
@@ -143,7 +147,7 @@ def test_clicks_that_are_erased_leave_nothing_behind():
         two.click(k, STEP)
     two.work()
     assert two.site.pair("r1", "r2").told
-    for kept in two.site.book.of("r1", "r2"):
+    for kept in two.site.correspondences.of("r1", "r2"):
         two.n += 1
         update = OperatorUpdate(
             operator="op",

@@ -5,7 +5,7 @@ import queue
 import numpy as np
 import pytest
 from fleetpose.pose_server import pipeline
-from fleetpose.pose_server.app.event_queue import Inbox, Selected, Updated
+from fleetpose.pose_server.app.event_queue import EventQueue, Selected, Updated
 from fleetpose.protocol.codec import encoding_of, pack
 from fleetpose.protocol.drops import Drops
 from fleetpose.protocol.keys import Keys
@@ -21,10 +21,10 @@ T_TRUE = turned(15)
 
 @pytest.fixture
 def inbox():
-    return Inbox(KEYS, queue.SimpleQueue(), Drops())
+    return EventQueue(KEYS, queue.SimpleQueue(), Drops())
 
 
-def put(inbox: Inbox, update: OperatorUpdate, operator: str = "op"):
+def put(inbox: EventQueue, update: OperatorUpdate, operator: str = "op"):
     inbox._update(Sample(KEYS.updates(operator), pack(update), encoding_of(OperatorUpdate)))
     return None if inbox._store.empty() else inbox._store.get()
 
@@ -69,7 +69,7 @@ def test_whatever_is_wrong_with_a_click_its_operator_is_told(inbox, scene, chang
     assert isinstance(stored, Updated) and not inbox._drops
     (outcome,) = pipeline.receive_update(site, stored.update)
     assert not outcome.accepted and reason in outcome.reason
-    receipts = site.book.receipts(wrong, EPOCH)
+    receipts = site.correspondences.receipts(wrong, EPOCH)
     assert receipts.n == 1 and reason in receipts.rejections[0].reason
     (next_one,) = pipeline.receive_update(site, click(2, points[0], T_TRUE))
     assert next_one.accepted, "it holds up nothing"

@@ -12,7 +12,7 @@ import pytest
 from fleetpose.pose_server.correspondences.journal import Journal, StoredView
 from fleetpose.pose_server.correspondences.records import MAX_REJECTIONS, JournalError
 from fleetpose.pose_server.correspondences.schema import MIGRATIONS
-from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.protocol.messages import ImageHeader
 from hypothesis import settings
 from hypothesis import strategies as st
@@ -20,7 +20,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from tests.pose_server.correspondence_makers import (
     EPOCH,
-    Memory,
+    DepthHistory,
     add,
     apply,
     content,
@@ -43,11 +43,11 @@ def test_restart_gives_the_same_book_with_the_points_of_then(path):
     updates = [add(1), add(2, 200.0), add(3, 700.0), add(4, 300.0, i="r3", j="r4")]
     updates += [update("move", 5, 250.0, correspondence=1), update("erase", 6, correspondence=0)]
     with Journal(path) as journal:
-        book = Book(journal)
+        book = CorrespondenceStore(journal)
         apply(book, *updates)
         before, receipts = content(book), book.receipts(add(1), EPOCH)
     with Journal(path) as journal:
-        book = Book(journal)
+        book = CorrespondenceStore(journal)
         assert content(book) == before
         assert book.receipts(add(1), EPOCH) == receipts
         assert apply(book, *updates) == []  # repeated by an operator that missed the receipt
@@ -80,11 +80,11 @@ def test_kill_at_any_moment_loses_and_doubles_nothing_that_was_receipted(path):
         assert numbers[0] in (receipted + 1, receipted + 2)  # one may have lost only its receipt
         receipted = numbers[-1]
         with Journal(path) as journal:
-            book = Book(journal)
+            book = CorrespondenceStore(journal)
             done = book.receipts(nth(1), EPOCH).n
             stored = {kept.name: kept.encoded for kept in journal.views()}
         assert done in (receipted, receipted + 1)
-        expected = Book(Memory())
+        expected = CorrespondenceStore(DepthHistory())
         apply(expected, *map(nth, range(1, done + 1)))
         assert content(book) == content(expected)
         assert all(stored[name] == encoded(name) for name in book.views())
@@ -111,7 +111,7 @@ def test_two_servers_cannot_share_a_journal_and_the_owner_is_named(path):
 
 def test_full_disk_is_an_error_that_changes_nothing(path):
     with Journal(path) as journal:
-        book = Book(journal)
+        book = CorrespondenceStore(journal)
         apply(book, add(1))
         before = content(book)
         (pages,) = journal._db.execute("PRAGMA page_count").fetchone()
@@ -122,13 +122,13 @@ def test_full_disk_is_an_error_that_changes_nothing(path):
         journal._db.execute("PRAGMA max_page_count = 100000")
         assert [o.n for o in book.apply(add(2, 200.0), keeps, lift, lambda name: bytes(9))] == [2]
     with Journal(path) as journal:
-        assert len(Book(journal).all()) == 2
+        assert len(CorrespondenceStore(journal).all()) == 2
 
 
 def test_file_held_by_another_program_is_an_error_that_changes_nothing(path, monkeypatch):
     monkeypatch.setattr("fleetpose.pose_server.correspondences.journal._BUSY_TIMEOUT_S", 0.05)
     with Journal(path) as journal:
-        book = Book(journal)
+        book = CorrespondenceStore(journal)
         other = sqlite3.connect(path, isolation_level=None)
         other.execute("BEGIN IMMEDIATE")
         with pytest.raises(JournalError, match="locked"):
@@ -140,8 +140,8 @@ def test_file_held_by_another_program_is_an_error_that_changes_nothing(path, mon
 
 
 def test_change_out_of_turn_is_refused_whole(path):
-    memory = Memory()
-    apply(Book(memory), add(1), add(2, 200.0))
+    memory = DepthHistory()
+    apply(CorrespondenceStore(memory), add(1), add(2, 200.0))
     with Journal(path) as journal:
         with pytest.raises(JournalError, match="does not follow"):
             journal.record(memory.changes[1])
@@ -159,21 +159,21 @@ def test_commits_are_synced_to_the_disk(path):
 
 def test_older_schema_is_brought_up_with_a_copy_and_a_newer_one_refused(path):
     with Journal(path, MIGRATIONS[:1]) as journal:
-        assert apply(Book(journal), add(1), add(2, 200.0))
+        assert apply(CorrespondenceStore(journal), add(1), add(2, 200.0))
         journal._db.execute("INSERT INTO poses VALUES ('r1', x'00')")
-        before = content(Book(journal))
+        before = content(CorrespondenceStore(journal))
     with Journal(path) as journal:
         assert journal._db.execute("PRAGMA user_version").fetchone() == (len(MIGRATIONS),)
-        book = Book(journal)
+        book = CorrespondenceStore(journal)
         assert content(book) == before
         apply(book, add(3, 700.0))
         after = content(book)
     copy = path.with_name("journal.sqlite3.schema1")
     with Journal(copy, MIGRATIONS[:1]) as old:  # for the server of then
-        assert content(Book(old)) == before
+        assert content(CorrespondenceStore(old)) == before
         assert old._db.execute("SELECT robot FROM poses").fetchall() == [("r1",)]
     with Journal(path) as journal:
-        assert content(Book(journal)) == after
+        assert content(CorrespondenceStore(journal)) == after
     newer = (*MIGRATIONS, ("ALTER TABLE pairs ADD COLUMN note TEXT", "CREATE TABLE extra (x) "))
     with Journal(path, newer) as journal:
         assert journal._db.execute("SELECT i, note FROM pairs").fetchall() == [("r1", None)]
@@ -183,22 +183,22 @@ def test_older_schema_is_brought_up_with_a_copy_and_a_newer_one_refused(path):
 
 def test_without_room_for_a_copy_an_older_journal_is_not_touched(path):
     with Journal(path, MIGRATIONS[:1]) as journal:
-        apply(Book(journal), add(1))
+        apply(CorrespondenceStore(journal), add(1))
     copy = path.with_name("journal.sqlite3.schema1")
     copy.with_name(f"{copy.name}.part").mkdir()  # in the way, as a full disk would be
     with pytest.raises(JournalError, match="make room"):
         Journal(path)
     with Journal(path, MIGRATIONS[:1]) as journal:
-        assert len(Book(journal).all()) == 1
+        assert len(CorrespondenceStore(journal).all()) == 1
 
 
 def test_failed_migration_leaves_the_old_schema(path):
     with Journal(path) as journal:
-        apply(Book(journal), add(1))
+        apply(CorrespondenceStore(journal), add(1))
     with pytest.raises(JournalError):
         Journal(path, (*MIGRATIONS, ("CREATE TABLE extra (x)", "NONSENSE")))
     with Journal(path) as journal:
-        assert len(Book(journal).all()) == 1
+        assert len(CorrespondenceStore(journal).all()) == 1
 
 
 def test_file_that_is_no_journal_is_refused_untouched(path):
@@ -211,10 +211,10 @@ def test_file_that_is_no_journal_is_refused_untouched(path):
 
 def test_damaged_record_is_told_not_swallowed(path):
     with Journal(path) as journal:
-        apply(Book(journal), add(1))
+        apply(CorrespondenceStore(journal), add(1))
         journal._db.execute("UPDATE correspondences SET p_i = x'00'")
         with pytest.raises(JournalError, match="damaged"):
-            Book(journal)
+            CorrespondenceStore(journal)
 
 
 def test_folder_that_cannot_be_made_is_an_error(tmp_path):
@@ -225,12 +225,12 @@ def test_folder_that_cannot_be_made_is_an_error(tmp_path):
 
 def test_only_the_newest_rejections_are_kept(path):
     with Journal(path) as journal:
-        book = Book(journal)
+        book = CorrespondenceStore(journal)
         apply(book, *(add(n, 700.0) for n in range(1, MAX_REJECTIONS + 6)))
         receipts = book.receipts(add(1), EPOCH)
     assert [r.n for r in receipts.rejections] == list(range(6, MAX_REJECTIONS + 6))
     with Journal(path) as journal:
-        assert Book(journal).receipts(add(1), EPOCH) == receipts
+        assert CorrespondenceStore(journal).receipts(add(1), EPOCH) == receipts
 
 
 def test_views_come_back_and_others_are_dropped(path):
@@ -263,8 +263,8 @@ class RestartedBook(RuleBasedStateMachine):
         self.folder = tempfile.TemporaryDirectory()
         self.path = Path(self.folder.name) / "journal.sqlite3"
         self.journal = Journal(self.path)
-        self.book = Book(self.journal)
-        self.steady = Book(Memory())
+        self.book = CorrespondenceStore(self.journal)
+        self.steady = CorrespondenceStore(DepthHistory())
         self.n = 0
 
     def teardown(self) -> None:
@@ -304,7 +304,7 @@ class RestartedBook(RuleBasedStateMachine):
     def restart(self):
         self.journal.close()
         self.journal = Journal(self.path)
-        self.book = Book(self.journal)
+        self.book = CorrespondenceStore(self.journal)
 
     @invariant()
     def both_are_the_same(self):

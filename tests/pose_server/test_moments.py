@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from fleetpose.pose_server.calibration.clocks import KEPT_VIEWS, Clocks
 from fleetpose.pose_server.calibration.depth_shift import DepthShift, depth_shift
-from fleetpose.pose_server.calibration.time_offset import Moments, moment_offset
+from fleetpose.pose_server.calibration.time_offset import TimeOffsets, depth_time_offset
 from fleetpose.protocol.messages import ViewName
 
 SIZE = (640, 480)
@@ -52,7 +52,9 @@ def test_a_plain_wall_and_few_points_tell_nothing():
 def said(offset_s, flows, seed=0):
     rng = np.random.default_rng(seed)
     sigmas = np.full(flows.shape, 1.5)
-    return moment_offset(-offset_s * flows + 1.5 * rng.standard_normal(flows.shape), sigmas, flows)
+    return depth_time_offset(
+        -offset_s * flows + 1.5 * rng.standard_normal(flows.shape), sigmas, flows
+    )
 
 
 def flows_of_a_robot_that_turns(views=12):
@@ -76,12 +78,12 @@ def test_a_few_wrong_shifts_do_not_matter():
     flows = flows_of_a_robot_that_turns()
     shifts = -0.2 * flows
     shifts[::5] += 40.0
-    found = moment_offset(shifts, np.full(flows.shape, 1.5), flows)
+    found = depth_time_offset(shifts, np.full(flows.shape, 1.5), flows)
     assert found is not None and found.value == pytest.approx(0.2, abs=0.03)
 
 
 def test_moments_wait_for_the_motion_and_are_forgotten_with_the_calibration():
-    moments = Moments()
+    moments = TimeOffsets()
     names = [ViewName(robot="r1", epoch="0" * 12, seq=seq) for seq in range(12)]
     for seq, name in enumerate(names[1:], start=1):
         flow = 45 * np.sin(seq)

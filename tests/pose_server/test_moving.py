@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fleetpose.pose_server.calibration.monitor import note_motion
-from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.frontend.localization import followed, newest_arrived
 from fleetpose.pose_server.frontend.moving_points import MOST_MASKED, moving_masks, without_moving
 from fleetpose.pose_server.geometry.features.motion import Mask, moves_together
@@ -104,7 +104,7 @@ def test_a_mask_takes_salient_points_and_the_sampled_surface_but_never_most_of_a
 
 def test_the_server_keeps_a_mask_as_long_as_its_view_and_workers_get_it():
     first, second, _ = views_of_one_robot(np.random.default_rng(3), 0.6)
-    site = Site(Book(Forgetful()))
+    site = Site(CorrespondenceStore(Forgetful()))
     robot = site.robot("r1")
     for message in (first, second):
         site.views.keep(kept(message))
@@ -121,7 +121,7 @@ def test_the_server_keeps_a_mask_as_long_as_its_view_and_workers_get_it():
 
 
 def test_motion_is_told_once_a_second_view_sees_it_and_not_again_while_it_goes_on():
-    site = Site(Book(Forgetful()))
+    site = Site(CorrespondenceStore(Forgetful()))
     site.robot("r1")
     messages = views_of_one_robot(np.random.default_rng(3), 0.6)[:2]
     mask = Mask(np.ones((20, 2)), np.zeros((20, 2)), 5.0)

@@ -10,7 +10,7 @@ from fleetpose.pose_server.consistency.repetition import (
     note_repetition,
     repetition,
 )
-from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.geometry.structure import Structure
 from fleetpose.pose_server.pose_graph.types import Edge, EdgeJudgement
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
@@ -29,7 +29,7 @@ def view(robot: str) -> ViewName:
 
 def place(*results: PairResult) -> Site:
     """Robots of which each two were aligned with one of these results; the sure ones are edges."""
-    site = Site(book=Book(Forgetful()))
+    site = Site(correspondences=CorrespondenceStore(Forgetful()))
     for k, result in enumerate(results):
         a, b = f"a{k}", f"b{k}"
         site.pair(a, b).last = result

@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from fleetpose.pose_server.scheduling.weighted_round_robin import Turns
+from fleetpose.pose_server.scheduling.weighted_round_robin import WeightedRoundRobin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,10 +11,10 @@ weights = st.dictionaries(st.integers(0, 200), st.floats(0.05, 20.0), min_size=1
 PICKS = 1000
 
 
-def line_of(weights: dict[int, float]) -> Turns[int]:
-    line: Turns[int] = Turns()
+def line_of(weights: dict[int, float]) -> WeightedRoundRobin[int]:
+    line: WeightedRoundRobin[int] = WeightedRoundRobin()
     for key, weight in weights.items():
-        line.offer(key, weight, 0.0)
+        line.put(key, weight, 0.0)
     return line
 
 
@@ -40,14 +40,14 @@ def test_nobody_waits_longer_than_the_bound_whoever_comes_goes_or_changes(weight
         now_s = turn * step_s
         if chance.random() < 0.1:
             newcomer = chance.randrange(1000, 2000)
-            line.offer(newcomer, chance.uniform(0.05, 20.0), now_s)
+            line.put(newcomer, chance.uniform(0.05, 20.0), now_s)
             waiting.setdefault(newcomer, 0)
         if chance.random() < 0.1 and len(waiting) > 1:
             gone = chance.choice(sorted(waiting))
-            line.withdraw(gone)
+            line.remove(gone)
             del waiting[gone]
         if chance.random() < 0.1:
-            line.offer(chance.choice(sorted(waiting)), chance.uniform(0.05, 20.0), now_s)
+            line.put(chance.choice(sorted(waiting)), chance.uniform(0.05, 20.0), now_s)
         picked = line.pick(now_s)
         assert picked.waited_picks == waiting[picked.key]
         assert picked.waited_picks <= picked.most_picks
@@ -75,25 +75,25 @@ def test_who_is_busy_is_passed_over_and_makes_up_for_it():
 
 
 def test_nobody_in_line_is_no_turn_and_strangers_may_be_withdrawn():
-    line: Turns[str] = Turns()
-    line.withdraw("nobody")
+    line: WeightedRoundRobin[str] = WeightedRoundRobin()
+    line.remove("nobody")
     assert line.pick(0.0) is None
     with pytest.raises(ValueError, match="weight"):
-        line.offer("r1", 0.0, 0.0)
-    line.offer("r1", 1.0, 0.0)
-    line.withdraw("r1")
+        line.put("r1", 0.0, 0.0)
+    line.put("r1", 1.0, 0.0)
+    line.remove("r1")
     assert line.pick(0.0) is None
     assert not len(line)
 
 
 def test_a_long_line_stays_itself_as_keys_come_and_go():
-    chance, line, here = random.Random(1), Turns(), {}
+    chance, line, here = random.Random(1), WeightedRoundRobin(), {}
     for number in range(300):
-        line.offer(number, 1.0 + number % 7, 0.0)
+        line.put(number, 1.0 + number % 7, 0.0)
         here[number] = 1.0 + number % 7
         if number % 3 == 0:
             gone = chance.choice(sorted(here))
-            line.withdraw(gone)
+            line.remove(gone)
             del here[gone]
     total = sum(here.values())
     picks = [line.pick(0.0) for _ in range(20 * len(here))]

@@ -11,7 +11,7 @@ import pytest
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.correspondences.journal import Journal
 from fleetpose.pose_server.correspondences.records import JournalError
-from fleetpose.pose_server.correspondences.store import Book, Kept
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore, Kept
 from fleetpose.pose_server.frontend.frames import body_pose
 from fleetpose.pose_server.persistence.export import ExportError, export, tum_line
 from fleetpose.pose_server.persistence.graph_store import Graph, GraphStore
@@ -43,7 +43,7 @@ def session(tmp_path_factory) -> Path:
     messages, points = scene_with_points_to_click(np.random.default_rng(4), T_TRUE)
     journal_file, graph_file = folder_files(state)
     with Journal(journal_file) as journal:
-        site = Site(book=Book(journal))
+        site = Site(correspondences=CorrespondenceStore(journal))
         for message in messages:
             pipeline.receive_token(site, message.name.robot, EPOCH, True)
             pipeline.receive_view(site, kept(message))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.app import publisher, queries
-from fleetpose.pose_server.app.publisher import LONGEST_PAUSE_S, Teller, pause_s
-from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.app.publisher import LONGEST_PAUSE_S, FleetPublisher, pause_s
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.frontend.frames import position_sigma
 from fleetpose.pose_server.geometry.se3 import hat
 from fleetpose.pose_server.messages import builders
@@ -206,7 +206,7 @@ def test_who_cannot_be_told_of_is_an_error_with_the_reason():
 
 @given(chances=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=6))
 def test_a_way_is_at_least_as_doubtful_as_each_link_and_no_more_than_all_together(chances):
-    site = Site(book=Book(Forgetful()))
+    site = Site(correspondences=CorrespondenceStore(Forgetful()))
     way = tuple(ViewName(robot=f"r{k}", epoch=EPOCH, seq=0) for k in range(len(chances) + 1))
     edges = [
         pipeline.Edge(a, b, np.eye(4), np.eye(6), p_grave=p)
@@ -243,7 +243,7 @@ def test_a_robot_is_told_the_operators_words(now_s):
         assert bool(robot.why_not) == (now_s > SETTINGS.fresh_s)
 
 
-def teller_of(site: Site, monkeypatch) -> tuple[Teller, list[RobotPose], list[float]]:
+def teller_of(site: Site, monkeypatch) -> tuple[FleetPublisher, list[RobotPose], list[float]]:
     """A teller whose clock is the test's."""
     heard: list[RobotPose] = []
     clock = [1.0]
@@ -253,7 +253,7 @@ def teller_of(site: Site, monkeypatch) -> tuple[Teller, list[RobotPose], list[fl
         if isinstance(message, RobotPose):
             heard.append(message)
 
-    return Teller(site, Keys(), SETTINGS, "0" * 12, put), heard, clock
+    return FleetPublisher(site, Keys(), SETTINGS, "0" * 12, put), heard, clock
 
 
 def test_who_hears_poses_alone_hears_that_a_robot_is_gone(monkeypatch):
@@ -305,7 +305,7 @@ def test_the_state_costs_little_but_is_never_silent_for_more_than_a_second(took_
 
 @pytest.mark.parametrize("held_up_s", [0.4, 2.0, 60.0])
 def test_a_thread_that_was_held_up_tells_the_next_state_within_a_second(held_up_s, monkeypatch):
-    site = Site(book=Book(Forgetful()))
+    site = Site(correspondences=CorrespondenceStore(Forgetful()))
     teller, _, clock = teller_of(site, monkeypatch)
 
     def slow(*_: object) -> None:

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from fleetpose.pose_server import pipeline
-from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.scheduling.pair_queue import note_promise, pick
 from fleetpose.pose_server.scheduling.settings import Weights
@@ -34,7 +34,7 @@ clicks_and_errors = st.lists(
 )
 
 
-class Clicked(Book):
+class Clicked(CorrespondenceStore):
     """A book with so many correspondences per pair."""
 
     def __init__(self, counts: dict[tuple[str, str], int]) -> None:
@@ -49,7 +49,7 @@ class Clicked(Book):
 
 
 def weight(clicks: int = 0, error_m: float | None = None, verdict="verified", **record) -> float:
-    site = Site(book=Clicked({PAIR: clicks}), depth_m=10.0)
+    site = Site(correspondences=Clicked({PAIR: clicks}), depth_m=10.0)
     last = None if error_m is None else PairResult(None, None, verdict, (), rmse_m=error_m)
     return pair_weight(site, PAIR, PairRecord(last=last, **record), "joining", 0.5)
 
@@ -75,7 +75,7 @@ def test_the_last_error_counts_and_not_the_best_and_one_that_failed_has_none():
 
 
 def test_clicks_that_the_images_contradict_add_nothing():
-    site = Site(book=Clicked({PAIR: 3}))
+    site = Site(correspondences=Clicked({PAIR: 3}))
     record = PairRecord(heard={(0, 0): False, (1, 0): True})
     assert live_clicks(site, PAIR, record) == 2
 
@@ -85,7 +85,7 @@ def test_clicks_that_the_images_contradict_add_nothing():
 def test_turns_are_shared_by_clicks_and_errors_and_no_pair_starves(clicked):
     pairs = [("r0", f"r{k + 1}") for k in range(PARTNERS)]
     counts = dict(zip(pairs, (clicks for clicks, _ in clicked), strict=True))
-    site = Site(book=Clicked(counts), depth_m=10.0)
+    site = Site(correspondences=Clicked(counts), depth_m=10.0)
     for pair, (_, error_m) in zip(pairs, clicked, strict=True):
         site.pair(*pair).last = PairResult(None, None, "plausible", (), rmse_m=error_m)
     turns, rounds = Counter(), 300
@@ -99,7 +99,7 @@ def test_turns_are_shared_by_clicks_and_errors_and_no_pair_starves(clicked):
     weights = {pair: pair_weight(site, pair, site.pairs[pair], "joining", 0.5) for pair in pairs}
     for pair in pairs:
         assert abs(turns[pair] / rounds - weights[pair] / sum(weights.values())) < 0.02
-    assert site.agenda.max_wait_share <= 1.0 and set(turns) == set(pairs)
+    assert site.pair_queue.max_wait_share <= 1.0 and set(turns) == set(pairs)
 
 
 def test_a_pair_with_new_correspondences_is_next_and_weighs_more_from_then_on():
@@ -110,7 +110,7 @@ def test_a_pair_with_new_correspondences_is_next_and_weighs_more_from_then_on():
     note_promise(site, named(0, "r1"), named(7, "r2"), 0.1, 0.0)
     for other in ("r3", "r4"):  # they wait for long and promise more
         note_promise(site, named(0, "r1"), named(0, other), 1.0, -100.0)
-    line = next(line for line in site.agenda.lines.values() if PAIR in line)
+    line = next(line for line in site.pair_queue.lines.values() if PAIR in line)
     others = [pair for pair in line.waiting() if pair != PAIR]
     before = line.pick(0.0, busy=others)
     (outcome,) = pipeline.receive_update(site, click(1, points[0], T_true))

@@ -49,7 +49,7 @@ def test_an_open_pair_is_aligned_once_both_robots_have_answered(site, wide):
     assert work_off(site) == ["pair"]
     T = site.relative(*BOTH)
     assert T is not None and np.linalg.norm(T[:3, 3] - T_TRUE[:3, 3]) < 0.1
-    assert affine_retries.wanted(site) == [] and not site.widening.waiting
+    assert affine_retries.wanted(site) == [] and not site.affine_retries.waiting
 
 
 def test_a_pair_whose_robot_has_no_wide_set_is_given_up(site, wide):
@@ -57,14 +57,14 @@ def test_a_pair_whose_robot_has_no_wide_set_is_given_up(site, wide):
     affine_retries.wanted(site)
     affine_retries.receive(site, BOTH[0], wide[0])
     affine_retries.receive(site, BOTH[1], None)
-    assert not site.widening.waiting and work_off(site) == []
+    assert not site.affine_retries.waiting and work_off(site) == []
     pipeline.take_result(site, Done(job := _again(site), run_job(job)), 1.0)
     assert affine_retries.wanted(site) == []
 
 
 def _again(site: Site):
     site.pair("r1", "r2").untried[BOTH[0], BOTH[1]] = 1.0
-    pair_queue.file(site, ("r1", "r2"), 1.0)
+    pair_queue.enqueue(site, ("r1", "r2"), 1.0)
     job = pipeline.next_job(site, 1.0)
     assert job is not None
     return job
@@ -79,11 +79,11 @@ def test_what_is_settled_asks_for_nothing():
 def test_views_that_never_align_are_not_tried_for_ever(site, wide):
     for _ in range(6):
         pipeline.take_result(site, Done(job := _again(site), run_job(job)), 1.0)
-        site.widening.waiting.clear()
-    assert sum(site.widening.tries.values()) <= 3
+        site.affine_retries.waiting.clear()
+    assert sum(site.affine_retries.tries.values()) <= 3
 
 
 def test_sets_are_bounded(site, wide):
     for seq in range(affine_retries.MOST_SETS + 10):
         affine_retries.receive(site, named(seq, "r1"), wide[0])
-    assert len(site.widening.sets) == affine_retries.MOST_SETS
+    assert len(site.affine_retries.sets) == affine_retries.MOST_SETS

@@ -188,13 +188,13 @@ def _played(task: Task, wrong: Clicked, later: Clicked) -> Deceived:
     server.visit(names, _by_name(task, server, wrong))
     here = _standing(task, server)
     record = server.site.pair(*names)
-    statuses = [kept.item.status for kept in server.site.book.of(*names)]
+    statuses = [kept.item.status for kept in server.site.correspondences.of(*names)]
     marked = np.array([status == "outlier" for status in statuses])
     told = bool(record.told) or bool(marked[wrong.wrong].all())
     text = record.told
     server.visit(names, _by_name(task, server, later))
     after = _standing(task, server)
-    statuses = [kept.item.status for kept in server.site.book.of(*names)]
+    statuses = [kept.item.status for kept in server.site.correspondences.of(*names)]
     accepted = all(status == "accepted" for status in statuses[len(wrong) :])
     marked = [status == "outlier" for status in statuses[: len(wrong)]]
     recovered = accepted and marked == wrong.wrong.tolist() and not after.grave_located

@@ -10,7 +10,7 @@ from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.calibration import monitor
 from fleetpose.pose_server.correspondences.records import BookState, Change
-from fleetpose.pose_server.correspondences.store import Book
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.messages.builders import Stamp, robot_pose, why_not_located
 from fleetpose.pose_server.scheduling import affine_retries
 from fleetpose.pose_server.scheduling.pair_queue import compare_some
@@ -56,7 +56,7 @@ class OfflineServer:
     """
 
     def __init__(self, wires: Mapping[int, Path], align: Aligner = run_job) -> None:
-        self.site = Site(book=Book(_InMemory()))
+        self.site = Site(correspondences=CorrespondenceStore(_InMemory()))
         self.names: dict[int, str] = {}
         self.settings = ServerSettings.model_validate({})
         self.jobs = 0

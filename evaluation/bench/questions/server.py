@@ -37,7 +37,7 @@ class FleetServer(OfflineServer):
         for index, wire in wires.items():
             if of_wide(wire).exists():
                 name = self.view(self.names[index])
-                self.site.widening.sets[name] = of_wide(wire).read_bytes()
+                self.site.affine_retries.sets[name] = of_wide(wire).read_bytes()
         for (a, b), result in results.items():
             i, j = self.view(a), self.view(b)
             job = Job("pair", self.site.encoded(i), self.site.encoded(j))

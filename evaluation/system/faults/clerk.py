@@ -14,7 +14,7 @@ from typing import Any
 from fleetpose.evaluation.system.faults.clicker import Click
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.network.client import Client
-from fleetpose.hmi_client.network.update_log import KeptUpdates
+from fleetpose.hmi_client.network.update_log import UpdateLog
 from fleetpose.protocol import codec
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.keys import Keys
@@ -125,7 +125,7 @@ def work(endpoint: str, site: str, kept: Path, places: Path, pause: Path) -> Non
     """
     pairs = json.loads(places.read_text())
     chance = random.Random(time.time_ns())  # another one in each life: no click comes twice
-    session = OperatorSession(OPERATOR, kept=KeptUpdates(kept))
+    session = OperatorSession(OPERATOR, kept=UpdateLog(kept))
     settings = SessionSettings(connect=(endpoint,), timeout_s=CONNECT_S)
     with Client(session, Keys(site), lambda: Link(open_session(settings))):
         while True:

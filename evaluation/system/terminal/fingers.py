@@ -83,7 +83,7 @@ class Fingers:
     suggested: int = 0
 
     def answer(self, points: int, by_hand: bool = False) -> tuple[str, str]:
-        """Turns to the first question and clicks so many points; returns its robots.
+        """WeightedRoundRobin to the first question and clicks so many points; returns its robots.
 
         Args:
             points: how many.

@@ -5,7 +5,7 @@ from contextlib import suppress
 from dataclasses import replace
 from textwrap import wrap
 
-from fleetpose.hmi_client.assist.pick_assist import Expected, Guide
+from fleetpose.hmi_client.assist.pick_assist import Expected, PickAssist
 from fleetpose.hmi_client.errors import OperatorError, PictureError
 from fleetpose.hmi_client.model.jpeg import frame_of
 from fleetpose.hmi_client.model.picture_decoder import decoded
@@ -59,7 +59,7 @@ class ImagePanel(Panel):
             super().__init__()
             self.step = step
 
-    def __init__(self, session: OperatorSession, guide: Guide, side: int) -> None:
+    def __init__(self, session: OperatorSession, guide: PickAssist, side: int) -> None:
         super().__init__(id=f"image{side}", classes="image")
         self.session = session
         self.guide = guide

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from fleetpose.hmi_client.assist.prompts import confirmation, next_step, reason
-from fleetpose.hmi_client.assist.suggestions import Proposals
+from fleetpose.hmi_client.assist.suggestions import Suggestions
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.tui.drawing.palette import style
 from fleetpose.hmi_client.tui.panels.panel import PanelMixin, line
@@ -15,7 +15,7 @@ class StatusPanel(PanelMixin):
     """Three lines; painted at every tick, since silence has no event."""
 
     def __init__(
-        self, session: OperatorSession, proposals: Proposals, keys: Mapping[str, str]
+        self, session: OperatorSession, proposals: Suggestions, keys: Mapping[str, str]
     ) -> None:
         super().__init__(id="status")
         self.session = session

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from fleetpose.hmi_client.tui.terminal.terminal_diff import Frugal
+from fleetpose.hmi_client.tui.terminal.terminal_diff import TerminalDiff
 from textual.drivers.linux_driver import LinuxDriver
 
 
@@ -13,7 +13,7 @@ class PatientDriver(LinuxDriver):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self._frugal = Frugal()
+        self._frugal = TerminalDiff()
 
     @property
     def behind(self) -> bool:

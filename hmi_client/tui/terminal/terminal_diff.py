@@ -20,7 +20,7 @@ Look = tuple[str, str, str]
 _PLAIN: Look = ("", "", "")
 
 
-class Frugal:
+class TerminalDiff:
     """Keeps what the terminal shows, and rewrites output so that it says the rest only.
 
     What it writes begins and ends with a plain look, as what it is given does. Styles must be told

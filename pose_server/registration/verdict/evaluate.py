@@ -101,7 +101,9 @@ class PairResult:
     icp: IcpReport | None = None
 
 
-def judged(pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None) -> PairResult:
+def evaluate_pose(
+    pair: Pair, T: Floats, start: str, T_by_matches: Floats | None = None
+) -> PairResult:
     """Collects all evidence for a pose, and the verdict.
 
     Args:

@@ -1,4 +1,4 @@
-"""The numbers of `trust`, as `pose-eval trust` printed them."""
+"""The numbers of `grave_probability`, as `pose-eval trust` printed them."""
 
 from fleetpose.pose_server.registration.verdict.grave_probability import TrustModel
 
