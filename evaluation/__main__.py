@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+
 from fleetpose.evaluation.cli import live
 from fleetpose.evaluation.cli.options import (
     Clouds,

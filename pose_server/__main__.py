@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import typer
+
 from fleetpose.protocol.errors import FleetPoseError
 
 if TYPE_CHECKING:

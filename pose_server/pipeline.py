@@ -10,6 +10,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
+
 from fleetpose.pose_server.calibration.monitor import note_depths, note_mirror
 from fleetpose.pose_server.consistency.anchoring import choose_anchor, gauge_of
 from fleetpose.pose_server.consistency.doubts import reconsider

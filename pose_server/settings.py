@@ -3,11 +3,12 @@
 import os
 from pathlib import Path
 
+from pydantic import Field
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
 from fleetpose.pose_server.geometry.icp import Method
 from fleetpose.pose_server.scheduling.settings import Weights
 from fleetpose.pose_server.workers.jobs import RecipeName
-from pydantic import Field
-from pydantic_settings import BaseSettings, SettingsConfigDict
 
 
 class ServerSettings(BaseSettings):

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.codec import compress, decompress
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.messages import Camera, DepthCloud, Salient, ScatteredCloud, View

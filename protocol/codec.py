@@ -9,9 +9,10 @@ from typing import Any, TypeVar, cast
 import msgpack
 import numpy as np
 import zstandard
+from pydantic import ValidationError
+
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.messages.base import MAX_MESSAGE_BYTES, Message
-from pydantic import ValidationError
 
 MAX_DECOMPRESSED_BYTES = 64 * 1024 * 1024
 MAX_ITEMS = 2_000_000  # of all lists and maps in a message: a few bytes each, but many in memory

@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
+from zenoh import ext
+
 from fleetpose.protocol.errors import FleetPoseError, UnreachableError
 from fleetpose.protocol.slots import Sample, Slots
 from fleetpose.protocol.text import one_line
-from zenoh import ext
 
 ENCODING_JPEG = "image/jpeg"
 MAX_REASON_BYTES = 500  # of an error reply

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.logs import log_to_stderr
 

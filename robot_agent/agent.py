@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import TypeVar
 
 import cv2
+
 from fleetpose.protocol.transport import SessionSettings
 from fleetpose.robot_agent.cameras.factory import open_camera
 from fleetpose.robot_agent.cameras.stereo.video import video_settings

@@ -16,6 +16,7 @@ from typing import Self
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.codec import encoding_of, pack, unpack
 from fleetpose.protocol.drops import Drops
 from fleetpose.protocol.errors import CalibrationError, CodecError, UnreachableError

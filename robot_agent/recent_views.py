@@ -6,6 +6,7 @@ from collections import deque
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.codec import encoding_of, pack
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.messages import ImageHeader, KeptView, View

@@ -3,10 +3,6 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from fleetpose.protocol.errors import FleetPoseError
-from fleetpose.protocol.keys import NAME_PATTERN
-from fleetpose.robot_agent.cameras.factory import CameraKind
-from fleetpose.robot_agent.cameras.replay import ReplayMode
 from pydantic import Field, ValidationError
 from pydantic_settings import (
     BaseSettings,
@@ -15,6 +11,11 @@ from pydantic_settings import (
     SettingsConfigDict,
     SettingsError,
 )
+
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.keys import NAME_PATTERN
+from fleetpose.robot_agent.cameras.factory import CameraKind
+from fleetpose.robot_agent.cameras.replay import ReplayMode
 
 CAMERA_KINDS: tuple[str, ...] = get_args(CameraKind)
 REPLAY_MODES: tuple[str, ...] = get_args(ReplayMode)

@@ -1,6 +1,7 @@
 """Shared by all tests: a router of a test's own, on this machine."""
 
 import pytest
+
 from fleetpose.protocol.transport import SessionSettings, free_port, open_session
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+
 from fleetpose.evaluation.bench.baselines import PEERS, Peer, PeerMissingError, Sight
 from fleetpose.evaluation.bench.pairs.worker import CACHED_VIEWS, of_wide, widen
 from fleetpose.evaluation.data.anonymize import StrippedFolder

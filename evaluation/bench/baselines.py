@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.evaluation.metrics.geometry import Floats, rigid
 from fleetpose.protocol.errors import FleetPoseError
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.evaluation.metrics.geometry import Floats, inverse
 from fleetpose.evaluation.metrics.scoring import percentile
 from fleetpose.evaluation.report.output import (

@@ -17,6 +17,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 from fleetpose.evaluation.report.output import output_folder, print_table, write_csv, write_summary
 from fleetpose.evaluation.simulate.stereo_video import (

@@ -15,6 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.evaluation.bench.clicks.truth import DEPTH_FOLDER
 from fleetpose.evaluation.bench.working import as_done, worker_pool
 from fleetpose.evaluation.data.rgbd import DEPTH_UNIT_M

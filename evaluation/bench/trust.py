@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
+
 from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.evaluation.metrics.reliability import expected_calibration_error, plot_reliability
 from fleetpose.evaluation.report.output import output_folder, print_table, write_summary
@@ -29,7 +31,6 @@ from fleetpose.pose_server.registration.verdict.grave_probability import (
 )
 from fleetpose.pose_server.registration.verdict.words import judge
 from fleetpose.protocol.errors import DataFolderError
-from scipy.optimize import minimize
 
 # Of the weights, in units of their signs' scatter: every sign is expected to speak, the pairs at
 # hand must not silence one that happens to say little in them.

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.evaluation.data.anonymize import noise_model
 from fleetpose.evaluation.data.opening import open_recording, points_of
 from fleetpose.evaluation.data.recording import CloudKind, Recording, TrueView

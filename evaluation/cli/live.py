@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+
 from fleetpose.evaluation.cli.options import (
     Clouds,
     MetresPerUnit,

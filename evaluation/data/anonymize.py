@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+
 from fleetpose.evaluation.data.recording import CloudKind, Recording, TrueView
 from fleetpose.protocol.errors import DataFolderError
 

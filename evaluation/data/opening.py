@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+
 from fleetpose.evaluation.data.posed_views import open_posed_views
 from fleetpose.evaluation.data.reconstructed import as_posed_views, find_reconstruction
 from fleetpose.evaluation.data.recording import CloudKind, Recording, TrueView

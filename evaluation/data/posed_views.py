@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.evaluation.data.recording import (
     CLOUD_KINDS,
     CloudKind,

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+
 from fleetpose.evaluation.report.output import progress_bar
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.robot_agent.reconstructions.model import ReconstructedView

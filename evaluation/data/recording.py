@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.evaluation.metrics.geometry import Floats
 
 CloudKind = Literal["sparse", "sparse_noisy", "stereo_pair_sparse", "stereo_dense"]

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+
 from fleetpose.evaluation.data.recording import Recording, TrueView
 from fleetpose.evaluation.metrics.geometry import Floats, nearest_rotation, rigid
 from fleetpose.protocol.errors import DataFolderError

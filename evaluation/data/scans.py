@@ -8,6 +8,7 @@ Scans have a robot's axes: x ahead, y left, z up.
 from pathlib import Path
 
 import numpy as np
+
 from fleetpose.evaluation.data.recording import Recording, TrueView
 from fleetpose.evaluation.metrics.geometry import Floats, nearest_rotation, rigid
 from fleetpose.protocol.errors import DataFolderError

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
 from fleetpose.evaluation.metrics.geometry import Floats, inverse
 from fleetpose.evaluation.metrics.scoring import (
     CHI2_6_95,

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+
 from fleetpose.evaluation.report.output import new_figure
 
 BINS = 10

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.evaluation.metrics.geometry import Floats, align_points, inverse, se3_log, transform
 
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.evaluation.metrics.geometry import Floats, quat_wxyz
 from fleetpose.protocol.errors import FleetPoseError
 

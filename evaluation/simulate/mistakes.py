@@ -12,10 +12,11 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import KDTree
+
 from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.protocol.clouds import decode_salient, points_of
 from fleetpose.protocol.messages import View
-from scipy.spatial import KDTree
 
 MistakeKind = Literal["alike", "one", "step", "mirrored"]
 

@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.evaluation.metrics.geometry import Floats, inverse, transform
 from fleetpose.evaluation.simulate.mistakes import mistaken, sight_of
 from fleetpose.evaluation.system.observer import Observer, SeenView

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+
 from fleetpose.evaluation.simulate.world.render import Depth, Floats, Image, Quad, Renderer
 from fleetpose.evaluation.simulate.world.ring import RingWorld, ring_rig
 from fleetpose.evaluation.simulate.world.robots import GREY_SIGMA, HEIGHT, WIDTH

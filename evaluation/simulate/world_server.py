@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.evaluation.simulate.world import PlanWorld, RingWorld, World
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.robot_agent.cameras.stereo.rig import StereoRig

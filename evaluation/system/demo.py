@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 from fleetpose.evaluation.metrics.fleet_scoring import SampleRow, score_sample
 from fleetpose.evaluation.report.output import print_table

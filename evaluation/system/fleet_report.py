@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.evaluation.metrics.fleet_scoring import SampleRow, positions, summarize_poses
 from fleetpose.evaluation.metrics.geometry import Floats, align_points, transform
 from fleetpose.evaluation.metrics.scoring import Limits, percentile

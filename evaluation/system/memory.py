@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+
 from fleetpose.deploy.local_fleet import LocalFleet
 
 _MB = 1024.0 * 1024.0

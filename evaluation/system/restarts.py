@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 from fleetpose.evaluation.bench.offline.fleet import Task, put_together
 from fleetpose.evaluation.bench.offline.fleet import scored as scored_offline

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.evaluation.metrics.fleet_scoring import SampleRow
 from fleetpose.evaluation.metrics.geometry import Floats, inverse, se3_log
 from fleetpose.evaluation.metrics.intervals import DRAWS, LEVEL

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+
 from fleetpose.evaluation.bench.clicks.truth import true_pixels
 from fleetpose.evaluation.data.anonymize import StrippedFolder
 from fleetpose.evaluation.data.covisibility import Sights, enough_overlap

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.hmi_client.assist import picking
 from fleetpose.hmi_client.errors import OperatorError, PictureError
 from fleetpose.hmi_client.model.depths import Depths

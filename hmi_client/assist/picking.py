@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.hmi_client.model.records import PixelUV
 
 Image = npt.NDArray[np.uint8]

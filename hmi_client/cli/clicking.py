@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 
 import typer
+
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.records import Pair, Pick
 from fleetpose.hmi_client.model.session import OperatorSession

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
 from fleetpose.hmi_client.cli.options import given_before
 from fleetpose.hmi_client.errors import NoServerError
 

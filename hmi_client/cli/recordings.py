@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+
 from fleetpose.hmi_client.cli import connection as c
 from fleetpose.hmi_client.cli.options import Fps, KeysFile, LogFile, Theme, Threshold
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.hmi_client.model.records import PixelUV
 from fleetpose.protocol.clouds import (
     CLICK_REACH_CELLS,

@@ -5,6 +5,7 @@ from collections import OrderedDict
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.hmi_client.errors import PictureError
 from fleetpose.hmi_client.model.jpeg import frame_of
 from fleetpose.hmi_client.model.records import Picture

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.messages import RobotPose
 
 Floats = npt.NDArray[np.float64]

@@ -17,14 +17,15 @@ from pathlib import Path
 from queue import Empty, Full, Queue
 from typing import IO, Literal
 
-from fleetpose.hmi_client.errors import OperatorError
-from fleetpose.protocol.messages.base import MAX_MESSAGE_BYTES
-from fleetpose.protocol.transport import Sample
 from mcap.exceptions import McapError
 from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from zstandard import ZstdError
+
+from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.protocol.messages.base import MAX_MESSAGE_BYTES
+from fleetpose.protocol.transport import Sample
 
 Way = Literal["in", "answer", "out"]
 NAME = "fleetpose-session"

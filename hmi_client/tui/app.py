@@ -4,6 +4,11 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+from textual.app import App, ComposeResult
+from textual.containers import Container, Horizontal, Vertical
+from textual.driver import Driver
+from textual.widgets import Footer
+
 from fleetpose.hmi_client.assist.pick_assist import Expected, PickAssist
 from fleetpose.hmi_client.assist.suggestions import Proposal, Suggestions
 from fleetpose.hmi_client.errors import OperatorError
@@ -19,10 +24,6 @@ from fleetpose.hmi_client.tui.panels.panel import PanelMixin
 from fleetpose.hmi_client.tui.panels.status_panel import StatusPanel
 from fleetpose.hmi_client.tui.stylesheet import CSS
 from fleetpose.hmi_client.tui.terminal.driver import PatientDriver
-from textual.app import App, ComposeResult
-from textual.containers import Container, Horizontal, Vertical
-from textual.driver import Driver
-from textual.widgets import Footer
 
 SLOW_S = 0.5  # numbers that change faster cannot be read
 THRESHOLD_STEP = 1.25

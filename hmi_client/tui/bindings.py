@@ -8,9 +8,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from fleetpose.hmi_client.errors import OperatorError
 from textual.binding import Binding
 from textual.keys import Keys
+
+from fleetpose.hmi_client.errors import OperatorError
 
 
 def _key(keys: str, action: str, label: str, id: str, does: str, show: bool = True) -> Binding:

@@ -3,6 +3,10 @@
 import threading
 from pathlib import Path
 
+from textual.app import ComposeResult
+from textual.binding import Binding
+from textual.strip import Strip
+
 from fleetpose.hmi_client.recording.file import Recording
 from fleetpose.hmi_client.recording.player import PlayClock, PlayedSession, Player
 from fleetpose.hmi_client.tui.app import FleetApp
@@ -12,9 +16,6 @@ from fleetpose.hmi_client.tui.drawing.palette import style
 from fleetpose.hmi_client.tui.panels.panel import PanelMixin, line
 from fleetpose.hmi_client.tui.run import keymap_of, own_screen
 from fleetpose.hmi_client.tui.terminal.driver import PatientDriver
-from textual.app import ComposeResult
-from textual.binding import Binding
-from textual.strip import Strip
 
 SKIP_S = 10.0
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.calibration.resection import resection, seen_at
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.se3 import hat, retract, transform

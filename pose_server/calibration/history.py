@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.calibration.clocks import Clocks
 from fleetpose.pose_server.calibration.depth_comparison import DepthErrors
 from fleetpose.pose_server.calibration.findings import RobotPair

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.calibration.findings import (
     LEAST_BEND_OTHER,
     LEAST_BEND_STEREO,

@@ -6,6 +6,7 @@ its pixels still fit the other's points, and that tells whose depths are off.
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.se3 import transform
 

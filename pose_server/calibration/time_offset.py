@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.calibration.depth_shift import DepthShift
 from fleetpose.pose_server.calibration.findings import Estimate
 from fleetpose.protocol.messages import ViewName

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose, moved
 from fleetpose.pose_server.geometry.noise import chi2_limit
 from fleetpose.pose_server.geometry.se3 import (

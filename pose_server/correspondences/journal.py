@@ -17,6 +17,7 @@ from typing import IO, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.correspondences.records import (
     MAX_REJECTIONS,
     BookState,

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.lift import NEIGHBOURS, LiftedPoint, lift_pixel
 from fleetpose.pose_server.registration.prepared_view import point_noise

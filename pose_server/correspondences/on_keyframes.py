@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.correspondences.store import Kept
 from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose
 from fleetpose.pose_server.geometry.consensus import OUTLIER_CHI2

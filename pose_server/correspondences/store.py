@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.correspondences.records import (
     Change,
     JournalError,

@@ -5,6 +5,7 @@ from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose
 from fleetpose.pose_server.geometry.se3 import (
     adjoint,

@@ -6,6 +6,7 @@ from collections import Counter
 from typing import TypeVar
 
 import numpy as np
+
 from fleetpose.pose_server.calibration.monitor import note_motion, note_time_offset
 from fleetpose.pose_server.consistency.doubts import (
     DROVE,

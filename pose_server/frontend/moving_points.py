@@ -9,6 +9,7 @@ the same shift.
 from dataclasses import replace
 
 import numpy as np
+
 from fleetpose.pose_server.geometry.features.motion import Mask, moves_together
 from fleetpose.pose_server.geometry.se3 import transform
 from fleetpose.pose_server.registration.pair import Pair

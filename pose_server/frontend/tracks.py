@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.features.motion import Mask
 from fleetpose.pose_server.geometry.se3 import rotation_angle
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult

@@ -13,6 +13,7 @@ from math import comb
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.dlt import rigid_unchecked, scale_between
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.noise import chi2_limit

@@ -17,6 +17,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.se3 import make_pose, nearest_rotation, transform
 from fleetpose.pose_server.geometry.spread import check_points, dimension, need_dimension

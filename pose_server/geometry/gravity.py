@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.se3 import exp_so3, hat, make_pose
 from fleetpose.pose_server.geometry.spread import RANK_TOLERANCE, check_points

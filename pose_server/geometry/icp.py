@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 import small_gicp
+
 from fleetpose.pose_server.geometry.errors import MissingLibraryError
 from fleetpose.pose_server.geometry.se3 import adjoint, inverse, transform
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.noise import PointNoise, covariances
 

@@ -5,6 +5,7 @@ rigid fit.
 import kiss_matcher
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.dlt import rigid_unchecked
 from fleetpose.pose_server.geometry.se3 import make_pose, transform
 

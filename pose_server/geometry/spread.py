@@ -2,6 +2,7 @@
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 
 Floats = npt.NDArray[np.floating]

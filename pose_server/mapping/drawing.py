@@ -4,12 +4,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
+from matplotlib.patheffects import withStroke
+
 from fleetpose.pose_server.geometry.noise import chi2_limit
 from fleetpose.pose_server.mapping.colours import robot_colours
 from fleetpose.pose_server.mapping.projection import Projection
 from fleetpose.pose_server.mapping.scene import MapCamera, MapLink, Scene
-from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
-from matplotlib.patheffects import withStroke
 
 Floats = npt.NDArray[np.floating]
 

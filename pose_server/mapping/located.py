@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.frontend.frames import body_pose, in_fleet
 from fleetpose.pose_server.geometry.se3 import position_covariance
 from fleetpose.pose_server.mapping.merging import (

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import small_gicp
+
 from fleetpose.pose_server.geometry.noise import PointNoise
 from fleetpose.pose_server.geometry.se3 import transform
 

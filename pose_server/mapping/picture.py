@@ -7,6 +7,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
 from fleetpose.pose_server.geometry.noise import chi2_limit
 from fleetpose.pose_server.mapping.colours import robot_colours
 from fleetpose.pose_server.mapping.drawing import (
@@ -21,9 +25,6 @@ from fleetpose.pose_server.mapping.drawing import (
 from fleetpose.pose_server.mapping.projection import Projection, aslant, from_above
 from fleetpose.pose_server.mapping.raster import dots
 from fleetpose.pose_server.mapping.scene import Scene
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 Floats = npt.NDArray[np.floating]
 

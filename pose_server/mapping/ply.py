@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+
 from fleetpose.pose_server.mapping.colours import robot_colours
 from fleetpose.pose_server.mapping.merging import FleetMap
 

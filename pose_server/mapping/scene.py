@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.mapping.merging import FleetMap
 from fleetpose.protocol.messages import Camera, Verdict
 

@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.calibration import monitor
 from fleetpose.pose_server.consistency.anchoring import why_apart
 from fleetpose.pose_server.consistency.doubts import why_doubted

@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.frontend.frames import in_fleet, strayed
 from fleetpose.pose_server.geometry.se3 import inverse
 from fleetpose.pose_server.messages.builders import unknown, why_not_located

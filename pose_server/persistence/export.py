@@ -7,6 +7,7 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.correspondences.journal import Journal
 from fleetpose.pose_server.frontend.frames import body_pose
 from fleetpose.pose_server.geometry.se3 import quat_wxyz

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.structure import Structure
 from fleetpose.pose_server.pose_graph.types import Edge, EdgeKey
 from fleetpose.protocol.errors import FleetPoseError

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.correspondences.journal import Journal, StoredView
 from fleetpose.pose_server.persistence.export import VIEWS, view_file

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
 from fleetpose.pose_server.correspondences.store import Kept
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.keys import ordered_pair
 from fleetpose.protocol.messages import ViewName
 from fleetpose.protocol.messages.fields import Count, Epoch, Name
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 SCHEMA = "fleetpose.correspondences.v1"
 _SIDE = ("robot", "epoch", "seq", "u", "v", "x_m", "y_m", "z_m")

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.noise import chi2_limit
 from fleetpose.pose_server.geometry.point_pairs import PointPairs

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.point_pairs import PointPairs
 from fleetpose.pose_server.geometry.se3 import adjoint, inverse, retract
 from fleetpose.pose_server.pose_graph.links import Link

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.se3 import compose_covariance
 from fleetpose.pose_server.pose_graph.links import Link
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.consensus import consensus
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.noise import chi2_limit

@@ -4,6 +4,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.pose_graph.layout import FleetInput, placed_clicks
 from fleetpose.pose_server.pose_graph.report import solution_of
 from fleetpose.pose_server.pose_graph.robust_optimization import robust_optimize

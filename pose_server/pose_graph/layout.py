@@ -7,6 +7,7 @@ from functools import cached_property
 import gtsam
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.point_pairs import PointPairs
 from fleetpose.pose_server.geometry.se3 import inverse
 from fleetpose.pose_server.pose_graph.components import Partition, hint_from, partition

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.se3 import hat
 from fleetpose.pose_server.geometry.structure import Structure
 from fleetpose.pose_server.pose_graph.types import Edge, SolveSettings

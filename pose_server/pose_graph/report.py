@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 import gtsam
 import numpy as np
+
 from fleetpose.pose_server.geometry.noise import chi2_limit
 from fleetpose.pose_server.geometry.se3 import inverse, transform
 from fleetpose.pose_server.pose_graph import factors as gt

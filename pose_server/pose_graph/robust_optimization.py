@@ -13,6 +13,7 @@ from functools import cached_property
 import gtsam
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.noise import chi2_limit
 from fleetpose.pose_server.geometry.se3 import inverse, rotation_angle
 from fleetpose.pose_server.pose_graph import factors as gt

@@ -11,6 +11,7 @@ from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.pose_graph.links import Link
 
 Floats = npt.NDArray[np.floating]

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.se3 import inverse
 from fleetpose.pose_server.geometry.structure import Structure
 from fleetpose.protocol.messages import Verdict, ViewName

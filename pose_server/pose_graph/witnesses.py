@@ -27,6 +27,7 @@ from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.structure import Structure
 from fleetpose.pose_server.pose_graph.links import Link
 from fleetpose.pose_server.pose_graph.types import GRAVE_ODOMETRY

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.frontend.frames import sigma_by_grave
 from fleetpose.pose_server.geometry.se3 import inverse, rotation_angle
 from fleetpose.pose_server.questions import overlap_prior

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+
 from fleetpose.pose_server.correspondences.store import Outcome
 from fleetpose.pose_server.questions.ranking import CLICKS_TO_JOIN, FleetUncertainty, standing
 from fleetpose.pose_server.state.question_feedback import Look, Open

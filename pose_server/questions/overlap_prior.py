@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.se3 import inverse, rotation_angle
 from fleetpose.pose_server.registration.verdict.evidence import Evidence
 from fleetpose.pose_server.registration.verdict.words import needed_matches

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+
 from fleetpose.pose_server.geometry.se3 import position_covariance
 from fleetpose.pose_server.pose_graph.types import Edge, FleetSolution
 from fleetpose.protocol.messages import Question, ViewName

@@ -2,6 +2,7 @@
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.registration.suggested_points import apart_in_both
 from fleetpose.pose_server.state.pairs import ViewPair
 from fleetpose.pose_server.state.site import Site

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.icp import Method
 from fleetpose.pose_server.registration.diagnostics import with_byproducts, with_suggestions
 from fleetpose.pose_server.registration.pair import RATIO, WIDE_RATIO, Pair

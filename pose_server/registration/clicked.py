@@ -13,6 +13,7 @@ from itertools import permutations
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.consensus import OUTLIER_CHI2
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.registration.operator_starts import (

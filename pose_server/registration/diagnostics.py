@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.calibration.depth_comparison import DepthErrors, compare_depths
 from fleetpose.pose_server.calibration.depth_shift import DepthShift, depth_shift
 from fleetpose.pose_server.frontend.moving_points import moving_masks

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry import dlt
 from fleetpose.pose_server.geometry.consensus import OUTLIER_CHI2, Consensus, consistent_sets
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError

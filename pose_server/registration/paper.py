@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry import dlt
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.icp import has_open3d

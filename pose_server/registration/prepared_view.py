@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
+
 from fleetpose.pose_server.geometry.features.free_space import Surface
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.features.shapes import Shapes, shapes_of
@@ -16,7 +18,6 @@ from fleetpose.pose_server.geometry.noise import PointNoise
 from fleetpose.protocol.clouds import decode_salient, points_of, strongest
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.messages import NoiseModel, Salient, View, ViewName
-from scipy.spatial import cKDTree
 
 Floats = npt.NDArray[np.floating]
 

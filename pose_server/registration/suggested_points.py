@@ -2,6 +2,7 @@
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.features.refine import NoiseScale
 from fleetpose.pose_server.registration.pair import Pair

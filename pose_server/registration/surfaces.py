@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry import robust
 from fleetpose.pose_server.geometry.features.matching import ratio_matches
 from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.se3 import inverse
 from fleetpose.pose_server.state.robots import Robot
 from fleetpose.pose_server.state.site import Site

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.se3 import adjoint, inverse, log_so3
 from fleetpose.protocol.messages import Odometry, ViewName
 

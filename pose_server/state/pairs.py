@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.protocol.messages import ViewName
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.frontend.tracks import Track
 from fleetpose.pose_server.pose_graph.types import NodePose
 from fleetpose.pose_server.state.views import KeptView

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.calibration.clocks import LEAST_AHEAD_S
 from fleetpose.pose_server.calibration.history import DepthHistory
 from fleetpose.pose_server.correspondences.lifting import Lifter

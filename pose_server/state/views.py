@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.features.matching import ratio_matches
 from fleetpose.pose_server.geometry.features.motion import some_together
 from fleetpose.pose_server.workers.jobs import EncodedView

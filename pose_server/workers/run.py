@@ -5,6 +5,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 
 import numpy as np
+
 from fleetpose.pose_server.frontend.moving_points import without_moving
 from fleetpose.pose_server.registration.prepared_view import PreparedView, prepare_view
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult

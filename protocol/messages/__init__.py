@@ -9,6 +9,8 @@ and belong to left perturbations, `exp(xi) T_a_b`.
 from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field, model_validator
+
 from fleetpose.protocol.messages.alignment import Alignment as Alignment
 from fleetpose.protocol.messages.alignment import IcpFit as IcpFit
 from fleetpose.protocol.messages.alignment import OperatorFit as OperatorFit
@@ -36,7 +38,6 @@ from fleetpose.protocol.messages.questions import Suggestion as Suggestion
 from fleetpose.protocol.messages.replies import RelativePose as RelativePose
 from fleetpose.protocol.messages.replies import WhyNot as WhyNot
 from fleetpose.protocol.messages.view_name import ViewName as ViewName
-from pydantic import Field, model_validator
 
 
 class CameraAnnouncement(Message, frozen=True, schema="fleet.camera_announcement.v1"):

@@ -2,6 +2,8 @@
 
 from typing import Annotated, Literal
 
+from pydantic import Field
+
 from fleetpose.protocol.messages.arrays import Matrix6, Pose
 from fleetpose.protocol.messages.base import Message
 from fleetpose.protocol.messages.fields import (
@@ -15,7 +17,6 @@ from fleetpose.protocol.messages.fields import (
     Verdict,
 )
 from fleetpose.protocol.messages.view_name import ViewName
-from pydantic import Field
 
 
 class OperatorFit(Message, frozen=True, schema="fleet.operator_fit.v1"):

@@ -3,10 +3,11 @@
 from typing import Annotated
 
 import numpy as np
+from pydantic import Field, model_validator
+
 from fleetpose.protocol.messages.arrays import Matrix3, Pose
 from fleetpose.protocol.messages.base import Message
 from fleetpose.protocol.messages.fields import Name, Positive
-from pydantic import Field, model_validator
 
 Sigma = Annotated[float, Field(ge=0, le=1e3)]
 

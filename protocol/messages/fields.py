@@ -2,9 +2,10 @@
 
 from typing import Annotated, Any, Literal, TypeVar
 
+from pydantic import BeforeValidator, FailFast, Field
+
 from fleetpose.protocol.keys import NAME_PATTERN
 from fleetpose.protocol.text import one_line
-from pydantic import BeforeValidator, FailFast, Field
 
 EPOCH_PATTERN = r"^[0-9a-f]{12}$"
 

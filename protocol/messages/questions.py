@@ -2,11 +2,12 @@
 
 from typing import Annotated
 
+from pydantic import Field
+
 from fleetpose.protocol.messages.arrays import Pixel
 from fleetpose.protocol.messages.base import Message
 from fleetpose.protocol.messages.fields import Count, Many, Name, NonNegative, Text
 from fleetpose.protocol.messages.view_name import ViewName
-from pydantic import Field
 
 
 class Suggestion(Message, frozen=True, schema="fleet.suggestion.v1"):

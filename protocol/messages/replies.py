@@ -1,9 +1,10 @@
 """Replies of the server: where one robot is, seen from another, and why one is not located."""
 
+from pydantic import Field
+
 from fleetpose.protocol.messages.arrays import Matrix6, Pose
 from fleetpose.protocol.messages.base import Message
 from fleetpose.protocol.messages.fields import Many, Name, NonNegative, Probability, Text, Verdict
-from pydantic import Field
 
 
 class RelativePose(

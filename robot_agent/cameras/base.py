@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.messages import Camera as CameraModel
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.robot_agent.cameras.stereo.video import Instant, Player
 
 CLOSE_TIMEOUT_S = 1.0

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.errors import FleetPoseError, UnreachableError
 from fleetpose.protocol.messages import ROBOT_FROM_CAMERA
 from fleetpose.robot_agent.cameras.base import Frame

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+
 from fleetpose.robot_agent.cameras.stereo.matching import calibrated
 from fleetpose.robot_agent.cameras.stereo.pairs import ImagePair, PairSource, open_pairs
 from fleetpose.robot_agent.cameras.stereo.rig import StereoRig

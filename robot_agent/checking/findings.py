@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.robot_agent.cameras.stereo.matching import DISPARITY_SIGMA_PX, PIXEL_SIGMA_PX
 from fleetpose.robot_agent.cameras.stereo.rectify import Rectifier
 from fleetpose.robot_agent.checking.fit import (

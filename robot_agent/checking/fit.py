@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.robot_agent.checking.matching import Matches
 
 Floats = npt.NDArray[np.float64]

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.robot_agent.cameras.stereo.pairs import ImagePair
 from fleetpose.robot_agent.cameras.stereo.rectify import Rectifier
 from fleetpose.robot_agent.features.keypoints import detect

@@ -6,6 +6,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.robot_agent.cameras.stereo.matching import StereoMatcher
 from fleetpose.robot_agent.cameras.stereo.pairs import ImagePair
 from fleetpose.robot_agent.cameras.stereo.rig import StereoRig

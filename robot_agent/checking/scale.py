@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.robot_agent.cameras.base import DisparityImage
 from fleetpose.robot_agent.cameras.stereo.matching import StereoMatcher

@@ -9,6 +9,7 @@ where the usual set has not settled a pair.
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.clouds import SalientPoints, encode_salient
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.messages import Camera, KeptView, View

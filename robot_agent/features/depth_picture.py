@@ -5,6 +5,7 @@ matched by it.
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.messages import Camera
 from fleetpose.robot_agent.cameras.base import DepthImage, DisparityImage, Ranges
 

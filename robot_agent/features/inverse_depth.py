@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.messages import Camera
 from fleetpose.robot_agent.cameras.base import DepthImage, DisparityImage, Ranges, ScatteredPoints
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.clouds import SalientPoints
 from fleetpose.protocol.messages import Camera
 from fleetpose.robot_agent.cameras.base import Frame, Ranges

@@ -1,6 +1,7 @@
 """A frame and its salient points as the message that goes on the wire."""
 
 import numpy as np
+
 from fleetpose.protocol.clouds import (
     SalientPoints,
     decode_depth,

@@ -7,6 +7,7 @@ p = -P / P.z, p' = f (1 + k1 |p|^2 + k2 |p|^4) p. A camera of focal length 0 was
 from pathlib import Path
 
 import numpy as np
+
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.robot_agent.reconstructions.model import Floats, Indices, Reconstruction
 from fleetpose.robot_agent.reconstructions.photos import Photo, reconstruction_of

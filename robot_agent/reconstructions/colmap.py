@@ -5,6 +5,7 @@ as its manual describes them.
 from pathlib import Path
 
 import numpy as np
+
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.robot_agent.reconstructions import colmap_binary, colmap_text
 from fleetpose.robot_agent.reconstructions.colmap_records import (

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.robot_agent.reconstructions.colmap_records import (
     CAMERA_MODELS,

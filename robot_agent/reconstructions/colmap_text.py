@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.robot_agent.reconstructions.colmap_records import (
     ColmapCamera,

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.errors import DataFolderError
 
 Floats = npt.NDArray[np.floating]

@@ -9,6 +9,7 @@ from math import comb
 from pathlib import Path
 
 import numpy as np
+
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.robot_agent.reconstructions.model import Floats, Indices, Reconstruction
 from fleetpose.robot_agent.reconstructions.photos import Photo, pose_of, reconstruction_of

@@ -6,6 +6,7 @@ from pathlib import Path, PureWindowsPath
 
 import cv2
 import numpy as np
+
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.robot_agent.reconstructions.model import (
     Floats,

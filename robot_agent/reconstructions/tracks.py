@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.robot_agent.reconstructions.model import Floats, Indices
 

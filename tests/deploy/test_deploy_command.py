@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+
 from fleetpose.deploy.__main__ import robot_source
 from fleetpose.protocol.errors import NameRefusedError
 

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from fleetpose.deploy.local_fleet import LocalFleet, ProcessEndedError, wait_running
 from fleetpose.protocol.transport import wait_until
 

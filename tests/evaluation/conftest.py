@@ -1,6 +1,7 @@
 """Shared by the tests of the evaluation: a router of their own and links to it."""
 
 import pytest
+
 from fleetpose.protocol.transport import Link, SessionSettings, free_port, open_session
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.simulate.world.materials.facades import poster
 from fleetpose.evaluation.simulate.world.render import Quad, Renderer
 from fleetpose.evaluation.simulate.world.ring import RingWorld

@@ -6,13 +6,13 @@ import json
 import cv2
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.bench import align_worker
 from fleetpose.evaluation.bench.align import Bars, run, score
 from fleetpose.evaluation.bench.align_worker import Timed, missing_peers
 from fleetpose.evaluation.bench.baselines import PEERS, Peer, Sight, points_at, sift_view
 from fleetpose.evaluation.metrics.geometry import inverse, transform
 from fleetpose.evaluation.metrics.scoring import position_error_m, rotation_error_deg
-
 from tests.evaluation.makers import pose, write_posed_views
 
 

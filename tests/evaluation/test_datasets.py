@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.data.opening import median_depth_m, open_recording, points_of
 from fleetpose.evaluation.data.recording import are_partners, in_ring_order, shared_tracks
 from fleetpose.evaluation.data.rgbd import read_depth
 from fleetpose.protocol.errors import DataFolderError
-
 from tests.data import shared_data
 from tests.evaluation.makers import K, write_posed_views, write_rgbd
 

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.bench.clicks.command import ClicksOptions
 from fleetpose.evaluation.bench.clicks.deceived import Deceived, run, summarize
 from fleetpose.evaluation.bench.clicks.deceptive import (
@@ -15,7 +16,6 @@ from fleetpose.evaluation.bench.clicks.deceptive import (
 from fleetpose.evaluation.bench.clicks.truth import true_pixels
 from fleetpose.evaluation.data.opening import open_recording
 from fleetpose.evaluation.metrics.geometry import inverse, transform
-
 from tests.evaluation.makers import write_rgbd
 
 

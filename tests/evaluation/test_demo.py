@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.metrics.fleet_scoring import SampleRow
 from fleetpose.evaluation.system.demo import DemoResult, report, run, without_screen
 from fleetpose.protocol.errors import FleetPoseError

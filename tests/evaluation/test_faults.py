@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.system.faults import command, inject, late
 from fleetpose.evaluation.system.faults.command import FaultOptions
 from fleetpose.evaluation.system.faults.frozen import _longest_gap

@@ -4,6 +4,7 @@ import json
 import random
 
 import pytest
+
 from fleetpose.evaluation.data.opening import open_recording
 from fleetpose.evaluation.data.parts import parts_of
 from fleetpose.evaluation.system.fleet import FleetOptions, named_skip_pairs, plan_fleet, run
@@ -11,7 +12,6 @@ from fleetpose.evaluation.system.observer import SeenView, digest_of
 from fleetpose.protocol.errors import DataFolderError, FleetPoseError
 from fleetpose.protocol.keys import new_epoch
 from fleetpose.protocol.messages import View, ViewName
-
 from tests.data import shared_data
 from tests.evaluation.makers import write_posed_views, write_rgbd
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.metrics.fleet_scoring import (
     PoseNow,
     SampleRow,
@@ -14,7 +15,6 @@ from fleetpose.evaluation.metrics.geometry import inverse
 from fleetpose.evaluation.metrics.scoring import Limits
 from fleetpose.evaluation.system.fleet_report import latencies
 from fleetpose.evaluation.system.observer import first_time_located
-
 from tests.evaluation.makers import pose, random_pose
 
 NAMES = ("a", "b", "c")

@@ -5,6 +5,7 @@ import random
 import cv2
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.system.fuzz import command
 from fleetpose.evaluation.system.fuzz.state import changes
 from fleetpose.evaluation.system.fuzz.targets import OPERATOR, targets_of
@@ -22,7 +23,6 @@ from fleetpose.protocol.messages import (
     ViewName,
 )
 from fleetpose.protocol.transport import Sample
-
 from tests.pose_server.scene import pair_of_views, turned
 from tests.protocol.message_examples import CAMERA, EPOCH, EXAMPLES
 

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 import scipy.linalg
+from scipy.spatial.transform import Rotation
+
 from fleetpose.evaluation.metrics.geometry import (
     align_points,
     inverse,
@@ -11,8 +13,6 @@ from fleetpose.evaluation.metrics.geometry import (
     se3_log,
     transform,
 )
-from scipy.spatial.transform import Rotation
-
 from tests.evaluation.makers import random_pose
 
 

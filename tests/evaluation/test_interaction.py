@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.bench.clicks.click_noise import (
     WRONG_PX,
     right_clicks,
@@ -27,7 +28,6 @@ from fleetpose.evaluation.metrics.geometry import inverse, rigid, transform
 from fleetpose.pose_server.geometry import icp
 from fleetpose.pose_server.registration.paper import linear_start
 from fleetpose.protocol.errors import DataFolderError
-
 from tests.evaluation.makers import pose, rotation, write_posed_views, write_rgbd
 
 SIZES = ((640, 480), (640, 480))

@@ -4,10 +4,11 @@ import itertools
 
 import numpy as np
 import pytest
-from fleetpose.evaluation.metrics.intervals import share_over_views
-from fleetpose.evaluation.metrics.scoring import trimmed_nees_per_dof
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from fleetpose.evaluation.metrics.intervals import share_over_views
+from fleetpose.evaluation.metrics.scoring import trimmed_nees_per_dof
 
 PAIRS = list(itertools.combinations(range(12), 2))
 

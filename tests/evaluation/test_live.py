@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.simulate.operator import SimulatedOperator
 from fleetpose.evaluation.system.observer import Observer, SeenView
 from fleetpose.protocol import codec
@@ -23,7 +24,6 @@ from fleetpose.protocol.messages import (
     ViewName,
 )
 from fleetpose.protocol.transport import Sample, wait_until
-
 from tests.evaluation.makers import HEIGHT, WIDTH, K
 
 KEYS = Keys("test")

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.bench.mapping.command import MapOptions, run
 from fleetpose.evaluation.bench.mapping.compare import compared, moved_by_poses
 from fleetpose.evaluation.bench.mapping.memory import peak_memory
@@ -13,7 +14,6 @@ from fleetpose.evaluation.data.opening import open_recording
 from fleetpose.pose_server.mapping.located import PlacedView
 from fleetpose.pose_server.state.views import KeptView, open_view
 from fleetpose.protocol.codec import pack
-
 from tests.data import shared_data
 from tests.evaluation.makers import pose, write_posed_views, write_rgbd
 from tests.pose_server.scene import descriptors, view, walls

@@ -7,12 +7,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.bench.clicks.truth import true_depth, true_pixels, with_contrast
 from fleetpose.evaluation.data.opening import open_recording
 from fleetpose.evaluation.metrics.geometry import inverse, transform
 from fleetpose.evaluation.simulate.mistakes import MISTAKES, Sight, mistaken, repeats_by
 from fleetpose.evaluation.simulate.operator import by_depth_images, by_hand
-
 from tests.evaluation.makers import HEIGHT, WIDTH, K, pose, write_posed_views
 
 SIZE = (WIDTH, HEIGHT)

@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
+
 from fleetpose.evaluation.__main__ import app
 from fleetpose.evaluation.bench.offline.command import OfflineOptions, run
 from fleetpose.evaluation.bench.offline.fleet import Fleet, Placed, draw_views
@@ -14,8 +16,6 @@ from fleetpose.evaluation.data.covisibility import Sights, chained, paired_up
 from fleetpose.evaluation.data.opening import open_recording
 from fleetpose.evaluation.data.parts import checked_views
 from fleetpose.protocol.errors import DataFolderError, FleetPoseError
-from typer.testing import CliRunner
-
 from tests.data import shared_data
 from tests.evaluation.makers import write_posed_views, write_rgbd
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.metrics.geometry import inverse, transform
 from fleetpose.evaluation.simulate.operator import by_depth, by_tracks, draw_clicks, far_apart
-
 from tests.evaluation.makers import HEIGHT, WIDTH, K, pose
 
 SIZES = ((WIDTH, HEIGHT), (WIDTH, HEIGHT))

@@ -6,9 +6,9 @@ import subprocess
 import sys
 
 import pytest
+
 from fleetpose.evaluation.bench.pairs.command import limited, pairs_of, run
 from fleetpose.evaluation.data.opening import open_recording
-
 from tests.data import shared_data
 from tests.evaluation.makers import write_posed_views, write_rgbd
 

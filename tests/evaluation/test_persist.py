@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.bench.clicks.command import ClicksOptions, interval, pairs_in_range
 from fleetpose.evaluation.bench.clicks.rows import ClickRow
 from fleetpose.evaluation.bench.persist.command import PersistOptions, run, runs_of, summarize
@@ -14,7 +15,6 @@ from fleetpose.evaluation.bench.persist.walks import Walk
 from fleetpose.evaluation.data.opening import open_recording
 from fleetpose.evaluation.metrics.scoring import Limits
 from fleetpose.protocol.errors import DataFolderError
-
 from tests.evaluation.makers import write_posed_views, write_rgbd
 
 

@@ -9,6 +9,8 @@ from itertools import combinations
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
+
 from fleetpose.evaluation.bench.clicks.truth import true_depth, true_pixels
 from fleetpose.evaluation.bench.pairs.worker import encode
 from fleetpose.evaluation.bench.questions.play import Task, clicks_in
@@ -29,7 +31,6 @@ from fleetpose.evaluation.system.fleet import FleetOptions, plan_fleet
 from fleetpose.evaluation.system.truth import WorldTruth
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.robot_agent.cameras.synthetic import mount, open_camera
-from scipy.spatial import KDTree
 
 ROBOTS = 3
 SYMMETRIC = sorted(set(PLANS) - {"weak"})

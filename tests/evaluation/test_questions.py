@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.bench.questions import play as playing
 from fleetpose.evaluation.bench.questions.command import QuestionsOptions, run
 from fleetpose.evaluation.bench.questions.play import Played, Run, Task
@@ -18,7 +19,6 @@ from fleetpose.evaluation.data.opening import open_recording
 from fleetpose.evaluation.metrics.geometry import inverse
 from fleetpose.evaluation.metrics.scoring import Limits
 from fleetpose.protocol.errors import DataFolderError
-
 from tests.evaluation.makers import pose, write_posed_views, write_rgbd
 
 

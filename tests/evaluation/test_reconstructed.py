@@ -4,14 +4,14 @@ import random
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
+
 from fleetpose.evaluation.__main__ import app
 from fleetpose.evaluation.data.anonymize import strip
 from fleetpose.evaluation.data.opening import median_depth_m, open_recording, points_of
 from fleetpose.evaluation.data.reconstructed import in_metres
 from fleetpose.evaluation.data.recording import shared_tracks
 from fleetpose.protocol.errors import DataFolderError
-from typer.testing import CliRunner
-
 from tests.evaluation.makers import write_posed_views
 from tests.evaluation.test_strip import assert_no_truth
 from tests.robot_agent.reconstruction_makers import (

@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.bench.pairs.calls import unsolved
 from fleetpose.evaluation.bench.pairs.plots import plot_all, plot_precision_recall
 from fleetpose.evaluation.bench.pairs.report import summarize, write_results, write_tables
@@ -18,7 +19,6 @@ from fleetpose.evaluation.report.output import (
     pose_cells,
     write_summary,
 )
-
 from tests.evaluation.makers import pose, write_posed_views, write_rgbd
 
 

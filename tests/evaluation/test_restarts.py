@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.data.opening import open_recording
 from fleetpose.evaluation.metrics.fleet_scoring import PoseNow, score_sample
 from fleetpose.evaluation.metrics.scoring import Limits
@@ -12,7 +13,6 @@ from fleetpose.evaluation.system.restarts import RestartsOptions, run, views_of
 from fleetpose.evaluation.system.restarts_report import scored, summarize, write_results
 from fleetpose.pose_server.geometry.se3 import retract
 from fleetpose.protocol.errors import DataFolderError
-
 from tests.evaluation.makers import write_posed_views, write_rgbd
 
 LIMITS = Limits(0.2, 2.0, 0.5, 5.0)

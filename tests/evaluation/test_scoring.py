@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.metrics.geometry import inverse, rigid, transform
 from fleetpose.evaluation.metrics.scoring import (
     CHI2_6_95,
@@ -18,7 +19,6 @@ from fleetpose.evaluation.metrics.scoring import (
     share,
     weakest_sigma_m,
 )
-
 from tests.evaluation.makers import pose, random_pose, rotation
 
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.bench.solve import make_up, mean_error_m, read_g2o, run, run_recorded
 from fleetpose.pose_server.pose_graph.graph import solve_fleet
 from fleetpose.protocol.errors import DataFolderError, FleetPoseError
-
 from tests.data import shared_data
 
 TWO_ROBOTS = """VERTEX_SE3:QUAT 6989586621679009792 0 0 0 0 0 0 1

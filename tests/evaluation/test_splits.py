@@ -3,7 +3,6 @@
 from fleetpose.evaluation.bench.pairs.report import write_results
 from fleetpose.evaluation.data import splits
 from fleetpose.evaluation.data.opening import open_recording
-
 from tests.evaluation.makers import write_posed_views
 
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from fleetpose.evaluation.bench.ring.statements import left, moved, statements
 from hypothesis import given
 from hypothesis import strategies as st
+
+from fleetpose.evaluation.bench.ring.statements import left, moved, statements
 
 SEPARATIONS_DEG = (5.0, 10.0, 15.0, 20.0, 30.0, 45.0)
 errors = st.floats(1e-4, 1e4)

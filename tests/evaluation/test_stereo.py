@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.bench.stereo import calibrations, checked, depth_errors
 from fleetpose.evaluation.simulate.stereo_video import lens_rig, make_video
 from fleetpose.robot_agent.cameras.stereo.rig import content_of

@@ -6,12 +6,12 @@ import re
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.data.anonymize import noise_model, random_name, strip
 from fleetpose.evaluation.data.opening import open_recording
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.protocol.keys import checked_name
 from fleetpose.protocol.messages import NoiseModel
-
 from tests.data import shared_data
 from tests.evaluation.makers import write_posed_views, write_rgbd
 

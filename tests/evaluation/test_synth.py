@@ -4,6 +4,7 @@ import random
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.bench.ring.layout import rings_of
 from fleetpose.evaluation.bench.synth import SynthOptions, run
 from fleetpose.evaluation.data.anonymize import noise_model, strip
@@ -11,7 +12,6 @@ from fleetpose.evaluation.data.opening import open_recording, points_of
 from fleetpose.evaluation.data.recording import CLOUD_KINDS, in_ring_order, shared_tracks
 from fleetpose.evaluation.metrics.geometry import transform
 from fleetpose.protocol.errors import FleetPoseError
-
 from tests.evaluation.test_strip import assert_no_truth
 
 

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.system.terminal.fingers import Eyes, arrow_keys
 from fleetpose.evaluation.system.terminal.hmi import HmiOptions
 from fleetpose.evaluation.system.terminal.hmi import run as run_hmi
@@ -15,7 +16,6 @@ from fleetpose.evaluation.system.terminal.reading import images_on
 from fleetpose.evaluation.system.terminal.tmux import Terminal
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.transport import free_port
-
 from tests.data import shared_data
 
 in_tmux = pytest.mark.skipif(shutil.which("tmux") is None, reason="no tmux")

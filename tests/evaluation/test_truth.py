@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.system.observer import SeenView
 from fleetpose.evaluation.system.truth import WorldTruth
-
 from tests.evaluation.makers import pose
 from tests.evaluation.test_live import view
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.bench import wire
 from fleetpose.evaluation.data.opening import open_recording
 

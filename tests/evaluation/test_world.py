@@ -6,6 +6,7 @@ import threading
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.simulate.world.ring import RingWorld
 from fleetpose.evaluation.simulate.world.robots import HEIGHT, WIDTH
 from fleetpose.evaluation.simulate.world_server import WorldServer, write_truth

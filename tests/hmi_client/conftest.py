@@ -9,11 +9,12 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from fleetpose.hmi_client.model.session import OperatorSession
-from fleetpose.protocol.transport import SessionSettings, open_session
 from hmi_fakes import fleet
 from hmi_server import FakeServer
 from screen_makers import Clock
+
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.protocol.transport import SessionSettings, open_session
 
 
 def checkered(robot: str, seq: int) -> bytes:

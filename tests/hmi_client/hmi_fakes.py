@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+
 from fleetpose.protocol.keys import ordered_pair
 from fleetpose.protocol.messages import (
     Alignment,

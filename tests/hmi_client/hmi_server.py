@@ -4,6 +4,8 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from hmi_fakes import CAMERA, EPOCH, NO_DEPTH_U, ROBOT_EPOCH, empty_view, fleet, ring, status, view
+
 from fleetpose.protocol.codec import encoding_of, pack, unpack
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import (
@@ -23,7 +25,6 @@ from fleetpose.protocol.messages import (
     ViewName,
 )
 from fleetpose.protocol.transport import Answer, Link, Sample, SessionSettings, open_session
-from hmi_fakes import CAMERA, EPOCH, NO_DEPTH_U, ROBOT_EPOCH, empty_view, fleet, ring, status, view
 
 
 @dataclass

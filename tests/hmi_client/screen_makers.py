@@ -4,9 +4,10 @@ from contextlib import asynccontextmanager
 
 import cv2
 import numpy as np
+from hmi_fakes import view
+
 from fleetpose.hmi_client.model.records import Picture
 from fleetpose.hmi_client.tui.app import FleetApp
-from hmi_fakes import view
 
 
 def picture(robot, seq=7, width=640, height=480):

@@ -3,6 +3,10 @@
 import time
 
 import pytest
+from hmi_fakes import view, wait_for
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from fleetpose.hmi_client.cli.reports import Watcher, sentence
 from fleetpose.hmi_client.errors import PictureError
 from fleetpose.hmi_client.model.jpeg import MAX_PIXELS, frame_of
@@ -23,10 +27,6 @@ from fleetpose.protocol.messages import (
 )
 from fleetpose.protocol.messages.base import Message
 from fleetpose.protocol.transport import Sample
-from hmi_fakes import view, wait_for
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
 from tests.hmi_client.conftest import checkered
 from tests.protocol.message_examples import EXAMPLES
 

@@ -1,13 +1,13 @@
 """Clearing a pair while own clicks in it are on their way, against the server's own book."""
 
 import pytest
-from fleetpose.hmi_client.assist.deferred_clear import SET_S
-from fleetpose.hmi_client.model.session import OperatorSession
-from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from hmi_fakes import EPOCH, fleet, view
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fleetpose.hmi_client.assist.deferred_clear import SET_S
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from tests.pose_server.correspondence_makers import Memory, lift
 
 PAIR = ("r1", "r2")

@@ -1,11 +1,12 @@
 """The client between a session and a fake server, over real zenoh."""
 
+from hmi_fakes import alignment, fleet, pose, view, wait_for
+
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.network.client import Client
 from fleetpose.protocol.codec import encoding_of, pack
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.transport import Link, SessionSettings, open_session
-from hmi_fakes import alignment, fleet, pose, view, wait_for
 
 LIAR = "f" * 12
 

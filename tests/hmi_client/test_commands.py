@@ -6,9 +6,10 @@ import subprocess
 import sys
 
 import pytest
+from hmi_fakes import alignment, wait_for
+
 from fleetpose.hmi_client.__main__ import main
 from fleetpose.protocol.transport import free_port
-from hmi_fakes import alignment, wait_for
 
 
 @pytest.fixture

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hmi_fakes import pose
+
 from fleetpose.hmi_client.model.top_view import (
     ground_ellipse,
     heading_rad,
@@ -16,7 +18,6 @@ from fleetpose.hmi_client.tui.drawing.cells import Canvas, HalfBlocks, Window, b
 from fleetpose.hmi_client.tui.drawing.palette import style, tone
 from fleetpose.hmi_client.tui.panels.map_panel import Projection, layout, nice_length
 from fleetpose.hmi_client.tui.panels.matrix_panel import shorten
-from hmi_fakes import pose
 
 
 def colours(strip):

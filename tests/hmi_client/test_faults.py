@@ -1,14 +1,15 @@
 """Restarts, lost messages and bad input between a client and a fake server, over real zenoh."""
 
 import pytest
+from hmi_fakes import CAMERA, view, wait_for
+from hmi_server import Journal
+
 from fleetpose.hmi_client.model.picture_decoder import decoded
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.protocol.codec import pack
 from fleetpose.protocol.drops import MAX_REASONS, OTHER, Drops
 from fleetpose.protocol.errors import UnreachableError
 from fleetpose.protocol.messages import ImageHeader
-from hmi_fakes import CAMERA, view, wait_for
-from hmi_server import Journal
 
 NEXT_EPOCH = "f" * 12
 

@@ -2,12 +2,13 @@
 
 import re
 
-from fleetpose.hmi_client.tui.terminal.terminal_diff import TerminalDiff
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.cells import cell_len
 from rich.color import ColorSystem
 from rich.style import Style
+
+from fleetpose.hmi_client.tui.terminal.terminal_diff import TerminalDiff
 
 COLOURS = st.sampled_from(["#102030", "#a0b0c0", "red", "color(200)", "bright_blue", None])
 STYLES = st.builds(

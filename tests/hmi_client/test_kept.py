@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.network.outbox import Outbox

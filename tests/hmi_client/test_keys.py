@@ -3,6 +3,9 @@
 import re
 
 import pytest
+from screen_makers import press, screen, selected, text
+from typer.testing import CliRunner
+
 from fleetpose.hmi_client.cli.commands import app as commands
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.fleet_model import FORGOTTEN_S
@@ -10,8 +13,6 @@ from fleetpose.hmi_client.tui.app import FleetApp
 from fleetpose.hmi_client.tui.bindings import PLACES, KeyMap
 from fleetpose.hmi_client.tui.panels.matrix_panel import WATCHED
 from fleetpose.protocol.messages import Selection
-from screen_makers import press, screen, selected, text
-from typer.testing import CliRunner
 
 
 def keymap(tmp_path, toml: str) -> KeyMap:

@@ -1,6 +1,10 @@
 """Texts of the error matrix."""
 
 import pytest
+from hmi_fakes import fleet
+from hypothesis import given
+from hypothesis import strategies as st
+
 from fleetpose.hmi_client.model.matrix import (
     BOLD_SHARE,
     HIDDEN,
@@ -18,9 +22,6 @@ from fleetpose.hmi_client.model.matrix import (
     title_of,
 )
 from fleetpose.protocol.messages import PairCell
-from hmi_fakes import fleet
-from hypothesis import given
-from hypothesis import strategies as st
 
 
 def matrix(*cells, threshold_m=1.0, count=4):

@@ -1,10 +1,11 @@
 """Points that are moved, and views that are held to do so."""
 
 import pytest
+from hmi_fakes import EPOCH, fleet, view
+
 from fleetpose.hmi_client.model.records import Picture
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.protocol.messages import Correspondence, PairCorrespondences, Receipts, Rejection
-from hmi_fakes import EPOCH, fleet, view
 
 A, B = (10.0, 20.0), (30.0, 40.0)
 

@@ -3,10 +3,11 @@
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
+
 from fleetpose.hmi_client.cli import commands
 from fleetpose.hmi_client.cli import connection as c
 from fleetpose.hmi_client.tui import run as run_module
-from typer.testing import CliRunner
 
 DESK = "tcp/10.0.0.1:7447"
 

@@ -3,6 +3,10 @@
 import cv2
 import numpy as np
 import pytest
+from hmi_fakes import CAMERA, alignment, fleet, pose, view
+from hypothesis import given
+from hypothesis import strategies as st
+
 from fleetpose.hmi_client.assist import picking
 from fleetpose.hmi_client.assist.pick_assist import PickAssist
 from fleetpose.hmi_client.errors import OperatorError
@@ -12,9 +16,6 @@ from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.tui.drawing.hints import LETTERS, Hints, labels
 from fleetpose.protocol.clouds import encode_depth, encode_scattered
 from fleetpose.protocol.messages import Salient, View
-from hmi_fakes import CAMERA, alignment, fleet, pose, view
-from hypothesis import given
-from hypothesis import strategies as st
 
 SALIENT = Salient(extractor="rootsift", count=0, descriptor_bytes=128, data=b"")
 DEPTH_M = 4.0

@@ -6,13 +6,14 @@ import tracemalloc
 import cv2
 import numpy as np
 import pytest
+from hmi_fakes import CAMERA, fleet, view
+
 from fleetpose.hmi_client.errors import OperatorError, PictureError
 from fleetpose.hmi_client.model.image_buffer import MAX_WAITING
 from fleetpose.hmi_client.model.jpeg import MAX_PIXELS, check_size, frame_of
 from fleetpose.hmi_client.model.picture_decoder import decoded
 from fleetpose.hmi_client.model.records import Picture
 from fleetpose.hmi_client.model.session import OperatorSession
-from hmi_fakes import CAMERA, fleet, view
 
 A, B = (10.0, 20.0), (30.0, 40.0)
 

@@ -5,6 +5,9 @@ import re
 from pathlib import Path
 
 import pytest
+from hmi_fakes import NO_DEPTH_U
+from typer.testing import CliRunner
+
 from fleetpose.hmi_client.cli.commands import app
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.session import OperatorSession
@@ -15,8 +18,6 @@ from fleetpose.hmi_client.recording.player import PlayClock, PlayedSession, Play
 from fleetpose.hmi_client.recording.timeline import timeline
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.transport import Link, Sample, SessionSettings, open_session, wait_until
-from hmi_fakes import NO_DEPTH_U
-from typer.testing import CliRunner
 
 PAIR = ("r1", "r2")
 

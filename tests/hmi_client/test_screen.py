@@ -1,10 +1,11 @@
 """The text client, driven by keys and mouse through Textual's pilot."""
 
 import pytest
-from fleetpose.hmi_client.model.session import OperatorSession
-from fleetpose.hmi_client.tui.app import FleetApp
 from hmi_fakes import fleet, view
 from screen_makers import Clock, press, screen, selected, text
+
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.tui.app import FleetApp
 
 
 @pytest.mark.parametrize("size", [(160, 50), (100, 30), (60, 20)])

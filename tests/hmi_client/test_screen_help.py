@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from hmi_fakes import CAMERA, EPOCH, empty_view, fleet, pose, view
+from screen_makers import picture, press, screen, selected, text
+
 from fleetpose.hmi_client.model.depths import Depths
 from fleetpose.hmi_client.tui.drawing import palette
 from fleetpose.hmi_client.tui.panels.pages import Page
 from fleetpose.protocol.clouds import encode_depth
 from fleetpose.protocol.messages import Correspondence, PairCorrespondences, Question, Suggestion
-from hmi_fakes import CAMERA, EPOCH, empty_view, fleet, pose, view
-from screen_makers import picture, press, screen, selected, text
 
 
 def depths(robot):

@@ -1,13 +1,14 @@
 """The operator's session without screen and network."""
 
 import pytest
+from hmi_fakes import EPOCH, fleet, pose, view
+
 from fleetpose.hmi_client.cli.reports import entries_text
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.matrix import THRESHOLD_M, THRESHOLD_SHARE
 from fleetpose.hmi_client.model.records import Picture, new_events
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.protocol.messages import Correspondence, PairCorrespondences, Receipts, Rejection
-from hmi_fakes import EPOCH, fleet, pose, view
 
 A, B = (10.0, 20.0), (30.0, 40.0)
 

@@ -5,6 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from hmi_fakes import EPOCH, fleet, view
+from screen_makers import Clock, press, screen, selected
+from syrupy.extensions.single_file import SingleFileSnapshotExtension, WriteMode
+
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.protocol.messages import (
     Correspondence,
@@ -14,9 +18,6 @@ from fleetpose.protocol.messages import (
     Rejection,
     Suggestion,
 )
-from hmi_fakes import EPOCH, fleet, view
-from screen_makers import Clock, press, screen, selected
-from syrupy.extensions.single_file import SingleFileSnapshotExtension, WriteMode
 
 A, B = (100.0, 50.0), (110.0, 60.0)
 

@@ -1,11 +1,12 @@
 """What `hmi-client why` makes of the server's alarms."""
 
+from hmi_fakes import alignment, fleet
+
 from fleetpose.hmi_client.assist.prompts import describe_cell
 from fleetpose.hmi_client.cli.reports import Watcher, sentence, status_text
 from fleetpose.hmi_client.cli.why import why_record, why_text
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.protocol.messages import Alarm, PairCell
-from hmi_fakes import alignment, fleet
 
 TEXT = "r6's depths are 5.1 +- 0.4 % too long against 4 partners: check its baseline"
 

@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.system.fleet import open_link
 from fleetpose.protocol.codec import encoding_of, pack, unpack
 from fleetpose.protocol.errors import UnreachableError
@@ -12,7 +13,6 @@ from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import RelativePose, RobotPose
 from fleetpose.protocol.transport import SessionSettings, wait_until
 from fleetpose.robot_agent.client import FleetRobot
-
 from tests.integration.test_fleet_of_processes import FIRST_POSE_S, RADIUS_M, running
 
 LIAR = "f" * 12

@@ -5,6 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+
 from fleetpose.deploy.local_fleet import LocalFleet
 from fleetpose.evaluation.system.fleet import open_link
 from fleetpose.evaluation.system.observer import Observer
@@ -14,7 +15,6 @@ from fleetpose.protocol.errors import UnreachableError
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, KeptView, RelativePose
 from fleetpose.protocol.transport import wait_until
-
 from tests.pose_server.test_surfaces import corner, walked
 
 FOUND_S = 90.0

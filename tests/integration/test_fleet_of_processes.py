@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from fleetpose.deploy.local_fleet import LocalFleet
 from fleetpose.evaluation.system.fleet import open_link, plan_world, start
 from fleetpose.evaluation.system.observer import Observer

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+
 from fleetpose.deploy.local_fleet import LocalFleet
 from fleetpose.evaluation.system.fleet import open_link, plan_world, start, wait_started
 from fleetpose.evaluation.system.observer import Observer

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from fleetpose.deploy.local_fleet import LocalFleet
 from fleetpose.evaluation.system.fleet import open_link, plan_world, start_servers
 from fleetpose.evaluation.system.observer import Observer
@@ -16,7 +17,6 @@ from fleetpose.protocol.messages import Alignment
 from fleetpose.protocol.transport import SessionSettings, wait_until
 from fleetpose.robot_agent.cameras.synthetic import SyntheticCamera, WorldLink
 from fleetpose.robot_agent.client import FleetRobot
-
 from tests.integration.test_fleet_of_processes import (
     FIRST_POSE_S,
     RADIUS_M,

@@ -1,6 +1,7 @@
 """A worker's views are cached by name: tests that run jobs here use the same names for others."""
 
 import pytest
+
 from fleetpose.pose_server.workers import run
 
 

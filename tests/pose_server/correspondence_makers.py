@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
 from fleetpose.pose_server.correspondences.records import BookState, Change, JournalError
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.protocol.errors import FleetPoseError

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.noise import covariances
 from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, log_so3, make_pose, transform
 from fleetpose.pose_server.geometry.structure import Structure

@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
+
 from fleetpose.pose_server.correspondences.journal import Journal
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.protocol.messages import OperatorUpdate, ViewName
-
 from tests.pose_server.correspondence_makers import EPOCH, add, keeps, lift, update, view
 
 

@@ -1,10 +1,11 @@
 """Corresponding points for tests: made by known motions, with the noise of stereo cameras."""
 
 import numpy as np
+from hypothesis import strategies as st
+
 from fleetpose.pose_server.geometry.noise import covariances
 from fleetpose.pose_server.geometry.point_pairs import PointPairs
 from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
-from hypothesis import strategies as st
 
 FOCAL_PX, PIXEL_SIGMA_PX, DEPTH_SHARE = 600.0, 1.5, 0.01
 

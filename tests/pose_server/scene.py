@@ -4,6 +4,7 @@ cameras.
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
 from fleetpose.protocol.clouds import SalientPoints, encode_salient, encode_scattered

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.geometry.se3 import inverse
@@ -17,7 +18,6 @@ from fleetpose.pose_server.scheduling.proposals import (
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.state.views import open_view
 from fleetpose.protocol.codec import pack
-
 from tests.pose_server.scene import descriptors, pair_of_views, turned, view, walls
 from tests.pose_server.test_flows import ENCODING, Forgetful, named, site_of
 

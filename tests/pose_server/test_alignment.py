@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.geometry.features.free_space import agreement
 from fleetpose.pose_server.geometry.se3 import inverse, rotation_angle
 from fleetpose.pose_server.registration.align import align_pair
@@ -18,7 +19,6 @@ from fleetpose.pose_server.registration.verdict.grave_probability import p_grave
 from fleetpose.pose_server.registration.verdict.words import judge
 from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.protocol.clouds import decode_salient, encode_salient
-
 from tests.pose_server.scene import descriptors, pair_of_views, turned, view, walls
 
 GOOD = Evidence(

@@ -5,6 +5,7 @@ network and workers.
 from dataclasses import replace
 
 import pytest
+
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.consistency.anchoring import PATIENCE_S, note_anchor
 from fleetpose.pose_server.correspondences.journal import Journal
@@ -13,7 +14,6 @@ from fleetpose.pose_server.persistence.graph_store import Graph
 from fleetpose.pose_server.persistence.restore import restored_site
 from fleetpose.pose_server.state.site import Site
 from fleetpose.protocol.messages import ViewName
-
 from tests.pose_server.scene import EPOCH
 from tests.pose_server.test_doubts import (
     HALL,

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.correspondences.records import BookState, Change
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore
@@ -17,7 +18,6 @@ from fleetpose.pose_server.workers.jobs import Done
 from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.codec import encoding_of, pack, unpack
 from fleetpose.protocol.messages import FleetState, OperatorUpdate, Selection, View
-
 from tests.pose_server.scene import EPOCH, K, descriptors, turned, view, walls
 
 T_TRUE = turned(15)

@@ -1,9 +1,10 @@
 """Updates wait for what a young server has not heard of yet, and are not refused for it."""
 
-from fleetpose.pose_server.app.pending_updates import StartupGrace
-from fleetpose.protocol.messages import OperatorUpdate, ViewName
 from hypothesis import given
 from hypothesis import strategies as st
+
+from fleetpose.pose_server.app.pending_updates import StartupGrace
+from fleetpose.protocol.messages import OperatorUpdate, ViewName
 
 
 def add(n: int, i: str = "r1", j: str = "r2") -> OperatorUpdate:

@@ -4,6 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.app.event_queue import EventQueue, Selected, TokenSeen, Updated
 from fleetpose.pose_server.app.topics import Publishers
@@ -33,9 +36,6 @@ from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import Camera, OperatorUpdate, Selection, View, ViewName
 from fleetpose.protocol.transport import Sample
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
 from tests.pose_server.scene import EPOCH, pair_of_views, turned
 from tests.pose_server.test_flows import kept, site_of
 
@@ -174,7 +174,6 @@ def test_stamps_centuries_off_and_numbers_that_jump_are_published(stamp_ns):
 
 def test_an_alignment_that_went_astray_is_no_result(monkeypatch):
     from fleetpose.pose_server.workers import recipes
-
     from tests.pose_server.test_flows import result
 
     T = np.eye(4)

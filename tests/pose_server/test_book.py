@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from fleetpose.pose_server.correspondences.records import JournalError
-from fleetpose.pose_server.correspondences.store import MAX_AHEAD, MAX_PER_PAIR, CorrespondenceStore
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fleetpose.pose_server.correspondences.records import JournalError
+from fleetpose.pose_server.correspondences.store import MAX_AHEAD, MAX_PER_PAIR, CorrespondenceStore
 from tests.pose_server.correspondence_makers import (
     EPOCH,
     OTHER_SESSION,

@@ -5,6 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from fleetpose.pose_server.calibration import monitor
 from fleetpose.pose_server.calibration.depth_comparison import DepthErrors, compare_depths
 from fleetpose.pose_server.calibration.findings import bend_of, time_offset, wrong_scales
@@ -18,9 +21,6 @@ from fleetpose.pose_server.calibration.resection import resection, three_point_p
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, rotation_angle
 from fleetpose.pose_server.state.site import Site
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
 from tests.pose_server.scene import SIZE, K, observed_pair, turned
 from tests.pose_server.test_flows import Forgetful
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.geometry.se3 import inverse, transform
 from fleetpose.pose_server.questions.overlap_prior import (
     Attempt,
@@ -13,7 +14,6 @@ from fleetpose.pose_server.questions.overlap_prior import (
 )
 from fleetpose.pose_server.registration.verdict.evidence import NO_RIVAL, Evidence
 from fleetpose.pose_server.registration.verdict.explained import Explained
-
 from tests.pose_server.fleet_makers import exp_se3, ring
 
 K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])

@@ -5,6 +5,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
 from fleetpose.pose_server.registration.clicked import P_SUPPORTED, P_UNSUPPORTED, with_clicks
 from fleetpose.pose_server.registration.operator_starts import Clicks, operator_starts
@@ -15,7 +16,6 @@ from fleetpose.pose_server.registration.verdict.hearing import hear
 from fleetpose.pose_server.workers.jobs import EncodedView, Job
 from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.codec import pack
-
 from tests.pose_server.scene import K, descriptors, pair_of_views, turned, view, walls
 
 T_TRUE = turned(40)

@@ -7,6 +7,7 @@ import signal
 import numpy as np
 import pytest
 from distributed import LocalCluster
+
 from fleetpose.pose_server.workers.dask_pool import ClusterPool
 from fleetpose.pose_server.workers.jobs import Done, EncodedView, Job
 from fleetpose.pose_server.workers.pools import Engine
@@ -14,7 +15,6 @@ from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.codec import pack
 from fleetpose.protocol.errors import UnreachableError
 from fleetpose.protocol.transport import free_port, wait_until
-
 from tests.pose_server.scene import pair_of_views, turned
 
 DONE_S = 90.0

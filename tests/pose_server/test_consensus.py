@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from fleetpose.pose_server.geometry.consensus import OUTLIER_CHI2, consensus, consistent_sets
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.point_pairs import PointPairs
 from fleetpose.pose_server.geometry.se3 import inverse, log_so3, transform
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
 from tests.pose_server.point_makers import random_pose, round_the_scene, seeds, seen_by_two
 
 

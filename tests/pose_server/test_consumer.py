@@ -3,11 +3,11 @@ aliases that agree with each other, wrong operators, edges that come in any orde
 """
 
 import numpy as np
-from fleetpose.pose_server.pose_graph.graph import solve_fleet
-from fleetpose.pose_server.pose_graph.types import Edge
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fleetpose.pose_server.pose_graph.graph import solve_fleet
+from fleetpose.pose_server.pose_graph.types import Edge
 from tests.pose_server.fleet_makers import edge, position_errors, ring, view
 
 N = 8

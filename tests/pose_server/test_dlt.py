@@ -3,12 +3,12 @@ few."""
 
 import numpy as np
 import pytest
-from fleetpose.pose_server.geometry import dlt
-from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
-from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, transform
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
+from fleetpose.pose_server.geometry import dlt
+from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, transform
 from tests.pose_server.point_makers import random_pose, seeds
 
 EXACT = {"rtol": 1e-6, "atol": 1e-6}

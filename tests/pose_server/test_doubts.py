@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.geometry.se3 import inverse, make_pose
 from fleetpose.pose_server.messages import builders
@@ -15,7 +16,6 @@ from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.workers.jobs import Done
 from fleetpose.protocol.messages import Odometry, RobotState, View, ViewName
-
 from tests.pose_server.scene import EPOCH, descriptors, turned, view, walls
 from tests.pose_server.test_flows import kept, site_of, work_off
 

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.workers.jobs import Done, EncodedView, Job
 from fleetpose.pose_server.workers.pools import MAX_TRIES, Engine, LocalPool
 from fleetpose.protocol.codec import pack
 from fleetpose.protocol.messages import View, ViewName
 from fleetpose.protocol.transport import wait_until
-
 from tests.pose_server.scene import EPOCH, pair_of_views, turned
 
 DONE_S = 60.0

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.registration.verdict.explained import Visible, holes
 
 SIZE = (640.0, 480.0)

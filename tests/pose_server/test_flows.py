@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.app.build import read_pairs
 from fleetpose.pose_server.correspondences.records import BookState, Change
@@ -20,7 +21,6 @@ from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.codec import encoding_of, pack
 from fleetpose.protocol.errors import CodecError, FleetPoseError
 from fleetpose.protocol.messages import OperatorUpdate, View, ViewName
-
 from tests.pose_server.scene import EPOCH, K, descriptors, pair_of_views, turned, view, walls
 
 ENCODING = encoding_of(View)

@@ -2,6 +2,9 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.features.matching import one_to_one, ratio_matches
 from fleetpose.pose_server.geometry.features.refine import refine
@@ -17,9 +20,6 @@ from fleetpose.pose_server.geometry.se3 import (
     retract,
     rotation_angle,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
 from tests.pose_server.scene import K, observed_pair, turned
 
 vectors = st.lists(st.floats(-3.1, 3.1), min_size=3, max_size=3).map(np.array)

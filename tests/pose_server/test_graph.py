@@ -4,10 +4,10 @@ import time
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.geometry.se3 import inverse
 from fleetpose.pose_server.pose_graph.graph import solve_fleet
 from fleetpose.pose_server.pose_graph.types import SolveSettings
-
 from tests.pose_server.fleet_makers import (
     click,
     edge,

@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
+
 from fleetpose.pose_server.geometry.se3 import inverse
 from fleetpose.pose_server.pose_graph.graph import solve_fleet
-
 from tests.pose_server.fleet_makers import click, edge, exp_se3, position_errors, ring, view
 
 NODES = [view("a"), view("b")]

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.geometry.se3 import inverse
 from fleetpose.pose_server.pose_graph import factors
 from fleetpose.pose_server.pose_graph.graph import solve_fleet
 from fleetpose.pose_server.pose_graph.links import link
 from fleetpose.pose_server.pose_graph.types import SolveSettings
-
 from tests.pose_server.fleet_makers import click, edge, exp_se3, left_error, ring, view
 
 NODES = [view(f"r{k}") for k in range(6)]

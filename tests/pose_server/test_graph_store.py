@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.geometry.structure import Structure
 from fleetpose.pose_server.persistence.graph_store import (
     Graph,

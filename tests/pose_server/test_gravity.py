@@ -2,6 +2,9 @@
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.gravity import Gravity, pose_by_gravity, shift_by_gravity
 from fleetpose.pose_server.geometry.se3 import (
@@ -12,9 +15,6 @@ from fleetpose.pose_server.geometry.se3 import (
     rotation_angle,
     transform,
 )
-from hypothesis import assume, given
-from hypothesis import strategies as st
-
 from tests.pose_server.point_makers import random_pose, round_the_scene, seeds, seen_by_two
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.geometry.se3 import inverse, transform
@@ -16,7 +17,6 @@ from fleetpose.pose_server.workers.jobs import Done
 from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.codec import encoding_of, pack
 from fleetpose.protocol.messages import OperatorUpdate, View
-
 from tests.pose_server.scene import K, descriptors, turned, view, walls
 from tests.pose_server.test_asking import SESSION, Forgetful
 

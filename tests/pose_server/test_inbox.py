@@ -4,6 +4,7 @@ import queue
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.app.event_queue import EventQueue, Selected, Updated
 from fleetpose.protocol.codec import encoding_of, pack
@@ -11,7 +12,6 @@ from fleetpose.protocol.drops import Drops
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import OperatorUpdate, Selection
 from fleetpose.protocol.transport import Sample
-
 from tests.pose_server.scene import EPOCH, turned
 from tests.pose_server.test_flows import click, named, scene_with_points_to_click, site_of
 

@@ -9,15 +9,15 @@ import time
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+
 from fleetpose.pose_server.correspondences.journal import Journal, StoredView
 from fleetpose.pose_server.correspondences.records import MAX_REJECTIONS, JournalError
 from fleetpose.pose_server.correspondences.schema import MIGRATIONS
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.protocol.messages import ImageHeader
-from hypothesis import settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
-
 from tests.pose_server.correspondence_makers import (
     EPOCH,
     DepthHistory,

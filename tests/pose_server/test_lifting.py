@@ -4,6 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
 from fleetpose.pose_server.correspondences.lifting import Lifter, NoDepthError
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.lift import lift_pixel
@@ -12,9 +15,6 @@ from fleetpose.pose_server.state.views import MIN_POINTS, KeptView, open_view
 from fleetpose.protocol.clouds import encode_depth, points_of
 from fleetpose.protocol.codec import pack
 from fleetpose.protocol.messages import View
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
-
 from tests.pose_server.scene import SIZE, descriptors, view, walls
 
 

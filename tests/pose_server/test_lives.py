@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.frontend.frames import position_sigma
 from fleetpose.pose_server.messages import builders
@@ -12,7 +13,6 @@ from fleetpose.pose_server.workers.jobs import Done
 from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.messages import Selection, ViewName
-
 from tests.pose_server.scene import EPOCH, descriptors, turned, view, walls
 from tests.pose_server.test_flows import click, kept, named, scene_with_points_to_click, site_of
 from tests.pose_server.test_flows import work_off as work_off_all

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
+
 from fleetpose.pose_server.correspondences.journal import Journal
 from fleetpose.pose_server.geometry.icp import has_open3d, open3d
 from fleetpose.pose_server.geometry.noise import PointNoise
@@ -33,8 +35,6 @@ from fleetpose.pose_server.persistence.restore import folder_files
 from fleetpose.pose_server.pose_graph.types import Edge
 from fleetpose.protocol.codec import pack
 from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, View
-from scipy.spatial import cKDTree
-
 from tests.pose_server.scene import SIZE, K, descriptors, turned, view, walls
 
 T_TRUE = turned(15)

@@ -3,12 +3,12 @@
 from urllib.request import urlopen
 
 import pytest
+
 from fleetpose.pose_server.app.metrics import Metrics
 from fleetpose.pose_server.app.status import Stages
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.messages import ServerStatus
 from fleetpose.protocol.transport import free_port
-
 from tests.protocol.message_examples import EXAMPLES
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+
 from fleetpose.pose_server.calibration.mirrors import Mirrors
 from fleetpose.pose_server.registration.pair import RATIO, Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView, prepare_view
@@ -11,7 +12,6 @@ from fleetpose.pose_server.registration.verdict.mirrored import (
     mirrored,
     mirrored_descriptors,
 )
-
 from tests.pose_server.scene import pair_of_views, turned
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.calibration.clocks import KEPT_VIEWS, Clocks
 from fleetpose.pose_server.calibration.depth_shift import DepthShift, depth_shift
 from fleetpose.pose_server.calibration.time_offset import TimeOffsets, depth_time_offset

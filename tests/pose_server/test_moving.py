@@ -4,6 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from fleetpose.pose_server.calibration.monitor import note_motion
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.frontend.localization import followed, newest_arrived
@@ -19,9 +22,6 @@ from fleetpose.pose_server.workers.jobs import Done, Job
 from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.codec import pack
 from fleetpose.protocol.messages import View
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
 from tests.pose_server.scene import descriptors, turned, view, walls
 from tests.pose_server.test_flows import Forgetful, kept
 

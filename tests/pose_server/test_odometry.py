@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.frontend.localization import MOST_BLIND
 from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, make_pose
 from fleetpose.pose_server.state.odometry import Moment, Odometers, motion
 from fleetpose.protocol.messages import Odometry
-
 from tests.pose_server.scene import EPOCH, descriptors, view, walls
 from tests.pose_server.test_flows import kept, named, site_of, work_off
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from fleetpose.pose_server.pose_graph.graph import solve_fleet
-from fleetpose.pose_server.questions.ranking import PairFacts, rank_questions, standing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fleetpose.pose_server.pose_graph.graph import solve_fleet
+from fleetpose.pose_server.questions.ranking import PairFacts, rank_questions, standing
 from tests.pose_server.fleet_makers import SIGMAS, edge, ring, view
 
 NODES = [view(f"r{k}") for k in range(6)]

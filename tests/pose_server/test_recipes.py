@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.registration.paper import align_as_published
 from fleetpose.pose_server.registration.prepared_view import prepare_view
 from fleetpose.pose_server.registration.refinement import Start
-
 from tests.pose_server.scene import pair_of_views, turned
 from tests.pose_server.test_starts import POINTS, T_TRUE, clicked
 

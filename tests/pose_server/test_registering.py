@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.geometry import icp
 from fleetpose.pose_server.geometry.se3 import retract
 from fleetpose.pose_server.registration.align import align_pair
@@ -9,7 +10,6 @@ from fleetpose.pose_server.registration.pair import RATIO, Pair
 from fleetpose.pose_server.registration.pair_icp import registered
 from fleetpose.pose_server.registration.prepared_view import prepare_view
 from fleetpose.pose_server.registration.refinement import Candidate, with_icp
-
 from tests.pose_server.scene import pair_of_views, turned
 
 T_TRUE = turned(20)

@@ -4,6 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+
 from fleetpose.pose_server.consistency.repetition import (
     believed,
     note_refuted,
@@ -16,7 +17,6 @@ from fleetpose.pose_server.pose_graph.types import Edge, EdgeJudgement
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.state.site import Site
 from fleetpose.protocol.messages import ViewName
-
 from tests.pose_server.test_telling import EPOCH, Forgetful
 
 VERIFIED = PairResult(np.eye(4), np.eye(6), "verified", (), p_grave=0.001)

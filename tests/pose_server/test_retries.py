@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.geometry.se3 import inverse
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
@@ -12,7 +13,6 @@ from fleetpose.pose_server.state.views import open_view
 from fleetpose.pose_server.workers.jobs import Done, Job
 from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.codec import pack
-
 from tests.pose_server.scene import descriptors, turned, view, walls
 from tests.pose_server.test_flows import ENCODING, named, result, site_of
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.geometry.features.patches import sides_seen
 from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, make_pose
 from fleetpose.pose_server.registration.align import align_pair
@@ -11,7 +12,6 @@ from fleetpose.pose_server.registration.verdict.aliases import aliases_of
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.registration.verdict.explained import explained
 from fleetpose.pose_server.registration.verdict.rivals import rivals_of, unique_points
-
 from tests.pose_server.scene import K, descriptors, turned, view
 
 PERIOD_M = 2.0

@@ -3,9 +3,10 @@
 import random
 
 import pytest
-from fleetpose.pose_server.scheduling.weighted_round_robin import WeightedRoundRobin
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from fleetpose.pose_server.scheduling.weighted_round_robin import WeightedRoundRobin
 
 weights = st.dictionaries(st.integers(0, 200), st.floats(0.05, 20.0), min_size=1, max_size=30)
 PICKS = 1000

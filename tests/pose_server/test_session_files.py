@@ -8,6 +8,9 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.correspondences.journal import Journal
 from fleetpose.pose_server.correspondences.records import JournalError
@@ -27,9 +30,6 @@ from fleetpose.pose_server.persistence.table import (
 )
 from fleetpose.pose_server.state.site import Site
 from fleetpose.protocol.messages import Correspondence, ViewName
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
 from tests.pose_server.scene import EPOCH, turned
 from tests.pose_server.test_flows import click, kept, scene_with_points_to_click, work_off
 

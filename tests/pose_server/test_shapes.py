@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.geometry.features.matching import ratio_matches
 from fleetpose.pose_server.geometry.features.shapes import shapes_of
 from fleetpose.pose_server.geometry.icp import dense_cloud, gicp
 from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform, weighted_mean
 from fleetpose.pose_server.registration.align import align_pair, align_wide
 from fleetpose.pose_server.registration.prepared_view import MeasuredCloud, prepare_view
-
 from tests.pose_server.scene import pair_of_views
 
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.pose_graph.graph import solve_fleet
 from fleetpose.pose_server.pose_graph.shared_errors import overlaps
-
 from tests.pose_server.fleet_makers import edge, exp_se3, ring, thing, view
 
 NODES = [view(f"r{k}") for k in range(5)]

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.geometry import dlt
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.gravity import Gravity
@@ -19,7 +20,6 @@ from fleetpose.pose_server.registration.operator_starts import (
 from fleetpose.pose_server.registration.prepared_view import prepare_view
 from fleetpose.pose_server.registration.refinement import Start
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
-
 from tests.pose_server.scene import pair_of_views, turned
 
 T_TRUE = turned(50)

@@ -1,6 +1,7 @@
 """Points that an operator might confirm."""
 
 import numpy as np
+
 from fleetpose.pose_server.geometry.se3 import inverse
 from fleetpose.pose_server.registration.align import align_pair
 from fleetpose.pose_server.registration.diagnostics import with_suggestions
@@ -8,7 +9,6 @@ from fleetpose.pose_server.registration.pair import RATIO, Pair
 from fleetpose.pose_server.registration.prepared_view import prepare_view
 from fleetpose.pose_server.registration.suggested_points import MOST, suggested
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
-
 from tests.pose_server.scene import K, pair_of_views, turned
 
 

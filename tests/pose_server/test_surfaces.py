@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
 from fleetpose.pose_server.registration.align import align_from, align_pair, is_settled
 from fleetpose.pose_server.registration.clicked import with_clicks

@@ -6,6 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.app import publisher, queries
 from fleetpose.pose_server.app.publisher import LONGEST_PAUSE_S, FleetPublisher, pause_s
@@ -23,9 +26,6 @@ from fleetpose.pose_server.workers.jobs import Done
 from fleetpose.protocol.codec import unpack
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import RelativePose, RobotPose, ViewName, WhyNot
-from hypothesis import given
-from hypothesis import strategies as st
-
 from tests.pose_server.scene import EPOCH, turned
 from tests.pose_server.test_flows import (
     Forgetful,

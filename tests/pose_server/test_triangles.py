@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.features.triangles import MOST_MATCHES, poses_by_triangles
 from fleetpose.pose_server.geometry.se3 import (

@@ -5,6 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
@@ -13,9 +16,6 @@ from fleetpose.pose_server.scheduling.settings import Weights
 from fleetpose.pose_server.scheduling.weights import live_clicks, pair_weight
 from fleetpose.pose_server.state.pairs import PairRecord
 from fleetpose.pose_server.state.site import Site
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
 from tests.pose_server.scene import turned
 from tests.pose_server.test_flows import (
     Forgetful,

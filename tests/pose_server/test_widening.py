@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.scheduling import affine_retries, pair_queue
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.workers.jobs import Done
 from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.codec import pack
-
 from tests.pose_server.scene import descriptors, inverse, pair_of_views, turned, view, walls
 from tests.pose_server.test_flows import named, site_of, work_off
 

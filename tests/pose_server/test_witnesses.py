@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
 from fleetpose.pose_server.geometry.structure import Structure
 from fleetpose.pose_server.pose_graph import report
 from fleetpose.pose_server.pose_graph.graph import solve_fleet
 from fleetpose.pose_server.pose_graph.witnesses import all_grave, independent, some_grave
-
 from tests.pose_server.fleet_makers import edge, exp_se3, ring, thing, view
 
 NODES = [view(f"r{k}") for k in range(8)]

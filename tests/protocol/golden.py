@@ -8,7 +8,6 @@ from pathlib import Path
 
 from fleetpose.protocol import codec
 from fleetpose.protocol.messages.base import Message
-
 from tests.protocol.message_examples import EXAMPLES
 
 FOLDER = Path(__file__).parent / "golden"

@@ -5,6 +5,7 @@ golden files must not change with it.
 """
 
 import numpy as np
+
 from fleetpose.protocol import messages as m
 
 EPOCH = "0123456789ab"

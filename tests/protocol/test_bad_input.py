@@ -6,6 +6,10 @@ import threading
 import msgpack
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
 from fleetpose.protocol import codec
 from fleetpose.protocol import messages as m
 from fleetpose.protocol.clouds import MAX_CLOUD_PIXELS, SalientPoints, decode_depth, encode_salient
@@ -16,10 +20,6 @@ from fleetpose.protocol.keys import NAME_PATTERN, Keys
 from fleetpose.protocol.slots import Sample, Slots
 from fleetpose.protocol.text import one_line
 from fleetpose.protocol.transport import parameters_of
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from pydantic import ValidationError
-
 from tests.protocol.message_examples import CAMERA, EPOCH, EXAMPLES, T
 
 few = settings(max_examples=80, deadline=None)

@@ -3,6 +3,10 @@
 import numpy as np
 import pytest
 import zstandard
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
 from fleetpose.protocol import clouds
 from fleetpose.protocol.codec import compress
 from fleetpose.protocol.errors import CodecError
@@ -16,9 +20,6 @@ from fleetpose.protocol.messages import (
     View,
     ViewName,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
 sizes = st.tuples(st.integers(1, 50), st.integers(1, 20))
 few = settings(max_examples=60, deadline=None)

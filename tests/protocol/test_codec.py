@@ -5,13 +5,13 @@ from contextlib import suppress
 import msgpack
 import numpy as np
 import pytest
-from fleetpose.protocol import codec
-from fleetpose.protocol import messages as m
-from fleetpose.protocol.errors import CodecError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from fleetpose.protocol import codec
+from fleetpose.protocol import messages as m
+from fleetpose.protocol.errors import CodecError
 from tests.protocol.message_examples import COVARIANCE, EPOCH, EXAMPLES, T
 
 classes = pytest.mark.parametrize("message_class", m.MESSAGES, ids=lambda c: c.__name__)

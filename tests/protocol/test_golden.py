@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.protocol import clouds, codec
 from fleetpose.protocol import messages as m
 from fleetpose.protocol.errors import CodecError
-
 from tests.protocol import golden
 from tests.protocol.message_examples import DEPTH_M, EXAMPLES, SCATTERED_UVZ
 

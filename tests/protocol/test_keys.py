@@ -3,6 +3,7 @@
 import re
 
 import pytest
+
 from fleetpose.protocol.errors import NameRefusedError
 from fleetpose.protocol.keys import Keys, checked_name, new_epoch, ordered_pair
 

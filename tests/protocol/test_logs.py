@@ -3,6 +3,7 @@
 import logging
 
 import pytest
+
 from fleetpose.protocol.logs import OneLine, log_to_file
 
 FORGED = "name=r1\n2026-01-01T00:00:00.000Z ERROR pose_server forged\x1b[2J"

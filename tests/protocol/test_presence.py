@@ -1,6 +1,7 @@
 """Which server of a site is listened to."""
 
 import pytest
+
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.presence import LiveServer

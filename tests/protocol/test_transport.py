@@ -3,6 +3,7 @@
 import threading
 
 import pytest
+
 from fleetpose.protocol.errors import UnreachableError
 from fleetpose.protocol.transport import (
     Answer,

@@ -1,6 +1,7 @@
 """Shared by the tests of the robot's agent: who listens to its router."""
 
 import pytest
+
 from fleetpose.protocol.transport import Link, SessionSettings, open_session
 
 

@@ -5,6 +5,9 @@ import logging
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
 from fleetpose.protocol.codec import encoding_of, pack
 from fleetpose.protocol.drops import Drops
 from fleetpose.protocol.errors import CalibrationError, FleetPoseError, UnreachableError
@@ -16,9 +19,6 @@ from fleetpose.robot_agent.cameras.stereo.rig import content_of, rig_of
 from fleetpose.robot_agent.client import FleetRobot
 from fleetpose.robot_agent.poses import PoseBoard
 from fleetpose.robot_agent.settings import RobotSettings
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-
 from tests.robot_agent.test_client import (
     DEPTH,
     IMAGE,

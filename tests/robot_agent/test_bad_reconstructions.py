@@ -4,10 +4,10 @@ import struct
 from pathlib import Path
 
 import pytest
+
 from fleetpose.protocol.errors import CalibrationError, DataFolderError
 from fleetpose.robot_agent.cameras.factory import open_camera
 from fleetpose.robot_agent.reconstructions.reading import find_reconstruction, read_reconstruction
-
 from tests.robot_agent.reconstruction_makers import (
     NAMES,
     WRITERS,

@@ -8,6 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.simulate.stereo_video import lens_rig, shot_through_lenses
 from fleetpose.evaluation.simulate.world.materials.textures import noise
 from fleetpose.evaluation.simulate.world.render import Quad, Renderer

@@ -7,6 +7,7 @@ import time
 import cv2
 import numpy as np
 import pytest
+
 from fleetpose.protocol.clouds import decode_depth, decode_salient
 from fleetpose.protocol.codec import encoding_of, pack, unpack
 from fleetpose.protocol.errors import (

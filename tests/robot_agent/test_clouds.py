@@ -4,6 +4,7 @@ import struct
 
 import numpy as np
 import pytest
+
 from fleetpose.protocol.clouds import points_of
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel, ViewName

@@ -10,11 +10,11 @@ import time
 import cv2
 import numpy as np
 import pytest
+
 from fleetpose.protocol.codec import unpack
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import View
 from fleetpose.protocol.transport import free_port, wait_until
-
 from tests.robot_agent.test_client import pose_message, pose_publisher, publish
 
 KEYS = Keys("demo")

@@ -1,12 +1,12 @@
 """A live camera that gives the same image again and again is told from one that stands still."""
 
 import numpy as np
+
 from fleetpose.robot_agent.cameras.base import DepthImage, Frame
 from fleetpose.robot_agent.cameras.frozen import LEAST_REPEATS, Repeats
 from fleetpose.robot_agent.cameras.stereo.matching import StereoCamera
 from fleetpose.robot_agent.cameras.stereo.pairs import PairStream, open_pairs
 from fleetpose.robot_agent.cameras.stereo.video import DevicePlayer, VideoSettings
-
 from tests.robot_agent.test_client import DEPTH, IMAGE, MODEL
 from tests.robot_agent.video_makers import Device, write_video
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel
 from fleetpose.robot_agent.cameras.base import DepthImage, DisparityImage, ScatteredPoints
 from fleetpose.robot_agent.features.inverse_depth import lift_points, sigma_of

@@ -1,6 +1,7 @@
 """A frame's ranges as they go on the wire."""
 
 import numpy as np
+
 from fleetpose.protocol.clouds import decode_scattered
 from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel, ScatteredCloud
 from fleetpose.robot_agent.cameras.base import ScatteredPoints

@@ -5,10 +5,10 @@ import struct
 import cv2
 import numpy as np
 import pytest
+
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.robot_agent.cameras.factory import open_camera
 from fleetpose.robot_agent.reconstructions.reading import read_reconstruction
-
 from tests.data import shared_data
 from tests.robot_agent.reconstruction_makers import (
     COLOUR,

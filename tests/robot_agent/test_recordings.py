@@ -8,6 +8,7 @@ import time
 import cv2
 import numpy as np
 import pytest
+
 from fleetpose.protocol.errors import CalibrationError, DataFolderError
 from fleetpose.robot_agent.cameras.base import DepthImage, ScatteredPoints
 from fleetpose.robot_agent.cameras.factory import open_camera

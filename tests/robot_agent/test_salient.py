@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+
 from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, Camera, NoiseModel
 from fleetpose.robot_agent.cameras.base import DepthImage
 from fleetpose.robot_agent.features.keypoints import ROOTSIFT_SCALE, root_sift, salient_points

@@ -5,6 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+
 from fleetpose.evaluation.simulate.world.materials.textures import noise
 from fleetpose.evaluation.simulate.world.render import Quad, Renderer
 from fleetpose.protocol.errors import CalibrationError, DataFolderError

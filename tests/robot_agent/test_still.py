@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+
 from fleetpose.robot_agent.cameras.still import StillImage
 
 SHAPE = (360, 500)

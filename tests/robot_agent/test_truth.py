@@ -7,6 +7,9 @@ import time
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from fleetpose.protocol.codec import encoding_of, pack
 from fleetpose.protocol.drops import Drops
 from fleetpose.protocol.keys import Keys
@@ -16,9 +19,6 @@ from fleetpose.robot_agent import client as client_module
 from fleetpose.robot_agent import poses as poses_module
 from fleetpose.robot_agent.client import FleetRobot
 from fleetpose.robot_agent.poses import PoseBoard
-from hypothesis import given
-from hypothesis import strategies as st
-
 from tests.robot_agent.test_client import (
     DEPTH,
     IMAGE,

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import yaml
+
 from fleetpose.protocol.errors import CalibrationError, DataFolderError
 from fleetpose.robot_agent.agent import paced
 from fleetpose.robot_agent.cameras.base import CameraError
@@ -16,7 +17,6 @@ from fleetpose.robot_agent.cameras.stereo import video as video_module
 from fleetpose.robot_agent.cameras.stereo.matching import open_camera
 from fleetpose.robot_agent.cameras.stereo.pairs import PairStream, open_pairs
 from fleetpose.robot_agent.cameras.stereo.video import DevicePlayer, VideoSettings
-
 from tests.robot_agent.video_makers import Device, number_of, numbered, write_video
 
 FPS = 20.0

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+
 from fleetpose.protocol.clouds import decode_salient
 from fleetpose.protocol.codec import unpack
 from fleetpose.protocol.messages import KeptView, ViewName
@@ -11,7 +12,6 @@ from fleetpose.robot_agent.features.affine_keypoints import DIRECTIONS_DEG, tilt
 from fleetpose.robot_agent.features.keypoints import detect, grey_of, salient_points
 from fleetpose.robot_agent.features.packing import view_of
 from fleetpose.robot_agent.recent_views import KeptViews, kept_view
-
 from tests.robot_agent.test_salient import MODEL
 
 EPOCH = "a" * 12

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.evaluation.simulate.operator import draw_clicks
 

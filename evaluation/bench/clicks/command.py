@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.evaluation.bench.clicks.rows import ClickRow, click_row, named, write_rows
 from fleetpose.evaluation.bench.clicks.truth import true_pixels
 from fleetpose.evaluation.bench.clicks.worker import ClickedAnswer, Plan, Task, run_task

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.evaluation.bench.clicks.click_noise import Clicked, right_clicks
 from fleetpose.evaluation.bench.clicks.command import ClicksOptions, pairs_in_range
 from fleetpose.evaluation.bench.clicks.deceptive import (

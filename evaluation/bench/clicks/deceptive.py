@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.evaluation.bench.clicks.click_noise import Clicked, Lift
 from fleetpose.evaluation.data.opening import points_of
 from fleetpose.evaluation.data.recording import Recording, TrueView

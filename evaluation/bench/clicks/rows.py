@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.evaluation.bench.clicks.worker import ClickedAnswer
 from fleetpose.evaluation.bench.pairs.command import scored
 from fleetpose.evaluation.bench.pairs.report import (

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+
 from fleetpose.evaluation.data.recording import Recording, TrueView
 from fleetpose.evaluation.data.rgbd import read_depth
 from fleetpose.evaluation.metrics.geometry import Floats, inverse

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.evaluation.bench.clicks import click_noise
 from fleetpose.evaluation.bench.clicks.click_noise import Clicked
 from fleetpose.evaluation.bench.pairs.worker import Answer, answer_of, of_wide, prepared, widen

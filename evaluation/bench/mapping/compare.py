@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
+
 from fleetpose.pose_server.geometry.se3 import transform
 from fleetpose.pose_server.mapping.located import PlacedView, cloud_of
-from scipy.spatial import cKDTree
 
 Floats = npt.NDArray[np.floating]
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.evaluation.data.opening import open_recording, points_of
 from fleetpose.evaluation.data.recording import Recording, TrueView
 from fleetpose.pose_server.geometry.se3 import inverse, transform

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+
 from fleetpose.evaluation.bench.offline.server import OfflineServer
 from fleetpose.evaluation.data.covisibility import Sights
 from fleetpose.evaluation.data.opening import open_recording

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.evaluation.bench.offline.fleet import Fleet, Placed
 from fleetpose.evaluation.data.splits import split_of
 from fleetpose.evaluation.metrics.scoring import share

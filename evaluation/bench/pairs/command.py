@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.evaluation.bench.pairs.report import write_results
 from fleetpose.evaluation.bench.pairs.row import PairRow
 from fleetpose.evaluation.bench.pairs.worker import Answer, align, prepare_ms, true_overlap

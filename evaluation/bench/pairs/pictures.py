@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.evaluation.data.opening import points_of
 from fleetpose.evaluation.data.recording import Recording, TrueView
 from fleetpose.evaluation.metrics.geometry import Floats, inverse, transform

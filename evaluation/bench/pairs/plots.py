@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.evaluation.bench.pairs.row import VERDICTS, PairRow, verified_nees
 from fleetpose.evaluation.metrics.intervals import share_over_views
 from fleetpose.evaluation.metrics.reliability import plot_reliability

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.evaluation.bench.pairs.calls import closest_calls
 from fleetpose.evaluation.bench.pairs.html import write_html
 from fleetpose.evaluation.bench.pairs.plots import plot_all

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.evaluation.data.opening import points_of
 from fleetpose.evaluation.data.recording import TrueView
 from fleetpose.evaluation.metrics.geometry import Floats

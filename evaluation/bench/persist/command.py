@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+
 from fleetpose.evaluation.bench.persist.following import POLICIES, Policy, Run, Step, follow
 from fleetpose.evaluation.bench.persist.walks import Walk, recorded_walk, world_walk
 from fleetpose.evaluation.bench.working import as_done, worker_pool

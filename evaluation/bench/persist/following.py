@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+
 from fleetpose.evaluation.bench.clicks import click_noise
 from fleetpose.evaluation.bench.clicks.worker import as_job, encoded, kept, lifted, takes
 from fleetpose.evaluation.bench.pairs.worker import prepared

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+
 from fleetpose.evaluation.data.anonymize import random_name, strip
 from fleetpose.evaluation.data.parts import parts_of
 from fleetpose.evaluation.data.recording import Recording

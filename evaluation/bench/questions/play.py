@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+
 from fleetpose.evaluation.bench.clicks.truth import true_pixels
 from fleetpose.evaluation.bench.clicks.worker import kept, with_wide
 from fleetpose.evaluation.bench.questions.policies import POLICIES

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
+
 from fleetpose.evaluation.bench.questions.server import FleetServer, RobotPair, named_pairs
 from fleetpose.hmi_client.model.matrix import default_threshold_m, is_shown
 from fleetpose.pose_server.messages.builders import pair_cells

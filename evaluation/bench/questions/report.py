@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.evaluation.bench.questions.play import Played, Run
 from fleetpose.evaluation.data.splits import Split
 from fleetpose.evaluation.metrics.intervals import DRAWS, LEVEL

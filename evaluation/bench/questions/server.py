@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+
 from fleetpose.evaluation.bench.offline.server import SESSION, OfflineServer
 from fleetpose.evaluation.bench.pairs.worker import of_wide
 from fleetpose.evaluation.metrics.geometry import Floats

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.evaluation.bench.ring.statements import statements
 from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.evaluation.report.output import new_figure

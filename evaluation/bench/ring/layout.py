@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
 from fleetpose.evaluation.data.recording import Recording, TrueView, are_partners
 from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.evaluation.metrics.scoring import optical_angle_deg

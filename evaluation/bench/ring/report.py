@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.evaluation.bench.clicks.rows import ClickRow, write_rows
 from fleetpose.evaluation.bench.ring.figures import RECIPES, plot_error_and_success, plot_times
 from fleetpose.evaluation.bench.ring.layout import Ring

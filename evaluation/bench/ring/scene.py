@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+
 from fleetpose.evaluation.bench.clicks.worker import ClickedAnswer, kept
 from fleetpose.evaluation.bench.ring.layout import Ring
 from fleetpose.evaluation.bench.ring.solving import Pair, connected, solution_of

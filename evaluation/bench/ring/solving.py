@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.evaluation.bench.clicks.worker import ClickedAnswer
 from fleetpose.evaluation.data.anonymize import distinct_names
 from fleetpose.evaluation.data.recording import TrueView

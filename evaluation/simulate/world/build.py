@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+
 from fleetpose.evaluation.simulate.world.materials.textures import Rng, Texture
 from fleetpose.evaluation.simulate.world.render import Floats, Quad
 

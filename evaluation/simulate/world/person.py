@@ -1,6 +1,7 @@
 """Somebody who walks to and fro on the square, as high as a person and with a pattern on."""
 
 import numpy as np
+
 from fleetpose.evaluation.simulate.world.materials.facades import poster
 from fleetpose.evaluation.simulate.world.render import Floats, Quad
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.evaluation.simulate.world.materials.textures import Texture
 
 Floats = npt.NDArray[np.float64]

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Collection
 
 import numpy as np
+
 from fleetpose.evaluation.simulate.world.person import Person
 from fleetpose.evaluation.simulate.world.render import Floats, Renderer
 from fleetpose.evaluation.simulate.world.robots import (

@@ -5,6 +5,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
+
 from fleetpose.evaluation.simulate.world.render import Floats, Image, Renderer
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.robot_agent.cameras.stereo.rig import StereoRig

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+
 from fleetpose.evaluation.simulate.world.build import SUN, Builder, polar, rectangle, regular
 from fleetpose.evaluation.simulate.world.materials import textures
 from fleetpose.evaluation.simulate.world.materials.colours import COPPER, RED_TILES, SLATE

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
 from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.evaluation.system.observer import SeenView
 from fleetpose.hmi_client.network.outbox import Outbox, Ticket

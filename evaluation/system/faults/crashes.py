@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import psutil
+
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 from fleetpose.evaluation.report.output import write_csv
 from fleetpose.evaluation.system.faults.clerk import Ledger

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.logs import log_to_stderr
 from fleetpose.protocol.transport import SessionSettings

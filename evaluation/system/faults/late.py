@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 from fleetpose.evaluation.system.faults.desk import Pair, clickable_pairs, operator, replayed_fleet
 from fleetpose.evaluation.system.fleet import FleetPlan

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.logs import log_to_stderr
 from fleetpose.protocol.transport import SessionSettings

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 from fleetpose.evaluation.metrics.geometry import Floats, rigid
 from fleetpose.evaluation.system.faults.troubled import CLOCK_BACK_S

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
+
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 from fleetpose.evaluation.report.output import (
     output_folder,

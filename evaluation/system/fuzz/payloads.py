@@ -12,6 +12,7 @@ from typing import Any
 import msgpack
 import numpy as np
 import zstandard
+
 from fleetpose.protocol.messages.base import MAX_MESSAGE_BYTES
 from fleetpose.protocol.transport import Sample
 

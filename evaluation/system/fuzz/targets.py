@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+
 from fleetpose.evaluation.system.fuzz.payloads import IMAGE_KINDS, MESSAGE_KINDS, VIEW_KINDS, Maker
 from fleetpose.hmi_client.network.message_decoder import opened, picture_in
 from fleetpose.pose_server.state.views import open_view

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+
 from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.evaluation.system.observer import Observer, SeenView
 from fleetpose.evaluation.system.terminal.interruption import Interruption

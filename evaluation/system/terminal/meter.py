@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Self
 
 import psutil
+
 from fleetpose.protocol.errors import FleetPoseError
 
 _ESCAPES = re.compile(rb"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07]*\x07|[()].)")

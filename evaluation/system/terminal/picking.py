@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
 from fleetpose.evaluation.system.terminal.fingers import arrow_keys
 from fleetpose.evaluation.system.terminal.reading import ShownImage, images_on
 from fleetpose.evaluation.system.terminal.tmux import Terminal

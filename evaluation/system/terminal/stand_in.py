@@ -16,6 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.evaluation.simulate.world.materials.facades import Style, facade
 from fleetpose.protocol.codec import encoding_of, pack, unpack
 from fleetpose.protocol.keys import Keys, new_epoch

@@ -11,11 +11,12 @@ from functools import lru_cache
 import cv2
 import numpy as np
 import numpy.typing as npt
-from fleetpose.hmi_client.tui.drawing.palette import few_colours, style, theme
 from rich.color import Color
 from rich.segment import Segment
 from rich.style import Style
 from textual.strip import Strip
+
+from fleetpose.hmi_client.tui.drawing.palette import few_colours, style, theme
 
 Image = npt.NDArray[np.uint8]
 OUTSIDE_BGR = (30, 24, 20)  # beyond the edge of an image

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.hmi_client.model.matrix import HIDDEN, SELF, THROUGH, Matrix
 from fleetpose.hmi_client.model.records import Pair
 from fleetpose.hmi_client.tui.drawing.cells import HalfBlocks, Image

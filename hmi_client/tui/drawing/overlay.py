@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+
 from fleetpose.hmi_client.assist.pick_assist import Expected
 from fleetpose.hmi_client.model.records import Entry, PixelUV
 from fleetpose.hmi_client.tui.drawing import palette

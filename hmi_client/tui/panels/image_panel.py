@@ -5,6 +5,11 @@ from contextlib import suppress
 from dataclasses import replace
 from textwrap import wrap
 
+from rich.segment import Segment
+from textual import events
+from textual.message import Message
+from textual.strip import Strip
+
 from fleetpose.hmi_client.assist.pick_assist import Expected, PickAssist
 from fleetpose.hmi_client.errors import OperatorError, PictureError
 from fleetpose.hmi_client.model.jpeg import frame_of
@@ -28,10 +33,6 @@ from fleetpose.hmi_client.tui.drawing.overlay import Overlay
 from fleetpose.hmi_client.tui.drawing.palette import style
 from fleetpose.hmi_client.tui.panels.panel import Panel
 from fleetpose.protocol.messages import ViewName
-from rich.segment import Segment
-from textual import events
-from textual.message import Message
-from textual.strip import Strip
 
 # A half cell of the image is a mean over many pixels; the shades of live images are coarser yet.
 NOISE_LEVELS = {"image": 16, "loupe": 24}

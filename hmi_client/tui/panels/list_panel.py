@@ -1,5 +1,11 @@
 """The list of correspondences of the selected pair: number, pixels, status, residual."""
 
+from rich.segment import Segment
+from rich.style import Style
+from textual import events
+from textual.message import Message
+from textual.strip import Strip
+
 from fleetpose.hmi_client.model.matrix import length_text
 from fleetpose.hmi_client.model.records import Entry
 from fleetpose.hmi_client.model.session import OperatorSession
@@ -7,11 +13,6 @@ from fleetpose.hmi_client.tui import bindings
 from fleetpose.hmi_client.tui.drawing.cells import MARKER_COLOURS
 from fleetpose.hmi_client.tui.drawing.palette import style
 from fleetpose.hmi_client.tui.panels.panel import Panel
-from rich.segment import Segment
-from rich.style import Style
-from textual import events
-from textual.message import Message
-from textual.strip import Strip
 
 STATUS_COLOURS = {
     "accepted": "good",

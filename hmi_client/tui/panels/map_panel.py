@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from textual.strip import Strip
+
 from fleetpose.hmi_client.model.matrix import length_text, natural
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.model.top_view import (
@@ -18,7 +20,6 @@ from fleetpose.hmi_client.tui.drawing.cells import Canvas
 from fleetpose.hmi_client.tui.drawing.palette import style
 from fleetpose.hmi_client.tui.panels.panel import Panel
 from fleetpose.protocol.messages import RobotPose
-from textual.strip import Strip
 
 Floats = npt.NDArray[np.float64]
 HEADING_DOTS = 9

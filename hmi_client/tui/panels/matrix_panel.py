@@ -1,5 +1,13 @@
 """The middle panel: the symmetric error matrix. Every cell can be selected, hidden or not."""
 
+from rich.segment import Segment
+from rich.style import Style
+from textual import events
+from textual.geometry import Size
+from textual.message import Message
+from textual.scroll_view import ScrollView
+from textual.strip import Strip
+
 from fleetpose.hmi_client.model.matrix import (
     HIDDEN,
     QUANTITIES,
@@ -21,13 +29,6 @@ from fleetpose.hmi_client.tui.drawing.heat_map import Grid, heat_map
 from fleetpose.hmi_client.tui.drawing.palette import style
 from fleetpose.hmi_client.tui.panels.panel import PanelMixin, line
 from fleetpose.protocol.keys import ordered_pair
-from rich.segment import Segment
-from rich.style import Style
-from textual import events
-from textual.geometry import Size
-from textual.message import Message
-from textual.scroll_view import ScrollView
-from textual.strip import Strip
 
 TONES = {"verified": "text", "plausible": "plausible", "ambiguous": "ambiguous", None: "faint"}
 CLICKED, WATCHED = "•", "◂"

@@ -2,14 +2,15 @@
 
 from collections.abc import Callable
 
-from fleetpose.hmi_client.cli.why import why_record, why_text
-from fleetpose.hmi_client.model.session import OperatorSession
-from fleetpose.hmi_client.tui.bindings import PLACES, KeyMap, printed
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import VerticalScroll
 from textual.screen import ModalScreen
 from textual.widgets import Static
+
+from fleetpose.hmi_client.cli.why import why_record, why_text
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.tui.bindings import PLACES, KeyMap, printed
 
 RENEWED_S = 0.5
 SIGNS = """

@@ -2,14 +2,15 @@
 
 from collections.abc import Sequence
 
-from fleetpose.hmi_client.model.session import OperatorSession
-from fleetpose.hmi_client.tui.drawing.palette import style
 from rich.segment import Segment
 from rich.style import Style
 from textual.filter import LineFilter
 from textual.geometry import Region, Size
 from textual.strip import Strip
 from textual.widget import Widget
+
+from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.tui.drawing.palette import style
 
 
 class PanelMixin(Widget):

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 
+from rich.segment import Segment
+from textual.strip import Strip
+
 from fleetpose.hmi_client.assist.prompts import confirmation, next_step, reason
 from fleetpose.hmi_client.assist.suggestions import Suggestions
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.tui.drawing.palette import style
 from fleetpose.hmi_client.tui.panels.panel import PanelMixin, line
-from rich.segment import Segment
-from textual.strip import Strip
 
 
 class StatusPanel(PanelMixin):

@@ -2,8 +2,9 @@
 
 from typing import Any
 
-from fleetpose.hmi_client.tui.terminal.terminal_diff import TerminalDiff
 from textual.drivers.linux_driver import LinuxDriver
+
+from fleetpose.hmi_client.tui.terminal.terminal_diff import TerminalDiff
 
 
 class PatientDriver(LinuxDriver):

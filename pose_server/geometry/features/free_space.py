@@ -7,9 +7,10 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
+
 from fleetpose.pose_server.geometry.features.patches import Patches, patches_of
 from fleetpose.pose_server.geometry.se3 import inverse, transform
-from scipy.spatial import cKDTree
 
 Floats = npt.NDArray[np.floating]
 

@@ -4,8 +4,9 @@ each, and most of that time went into the calls of numpy between the sums.
 
 import numpy as np
 import numpy.typing as npt
-from fleetpose.pose_server.geometry.features.kernels import normal_equations, residuals_of
 from numba import njit
+
+from fleetpose.pose_server.geometry.features.kernels import normal_equations, residuals_of
 
 Floats = npt.NDArray[np.floating]
 Bools = npt.NDArray[np.bool_]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.features.kernels import best_around, first_of_each
 
 Floats = npt.NDArray[np.floating]

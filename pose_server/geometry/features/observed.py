@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.features.matching import PixelGrid, Prediction
 from fleetpose.pose_server.geometry.se3 import transform
 

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from fleetpose.pose_server.geometry.se3 import inverse, transform
 from scipy.spatial import cKDTree
+
+from fleetpose.pose_server.geometry.se3 import inverse, transform
 
 Floats = npt.NDArray[np.floating]
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.features.gauss_newton import Side, descend, weigh
 from fleetpose.pose_server.geometry.features.kernels import normal_equations

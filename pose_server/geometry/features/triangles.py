@@ -11,9 +11,10 @@ what merely clusters in space.
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
+
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.se3 import transform
-from numba import njit
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
+
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.features.matching import NO_MATCHES
 from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles
@@ -19,7 +21,6 @@ from fleetpose.pose_server.registration.verdict.explained import (
     empty_parts,
     visible_in,
 )
-from scipy.spatial import cKDTree
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.calibration.depth_comparison import DepthErrors
 from fleetpose.pose_server.calibration.depth_shift import DepthShift
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
+
 from fleetpose.pose_server.geometry.features.free_space import hides
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.features.patches import sides_seen
 from fleetpose.pose_server.geometry.se3 import inverse, transform
 from fleetpose.pose_server.registration.pair import Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
-from scipy.spatial import cKDTree
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]

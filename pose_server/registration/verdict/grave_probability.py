@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.registration.verdict.evidence import Evidence
 
 Floats = npt.NDArray[np.floating]

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.features.matching import ratio_matches
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles

@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
+
 from fleetpose.pose_server.geometry import robust
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.features.matching import NO_MATCHES, union
@@ -27,7 +29,6 @@ from fleetpose.pose_server.registration.verdict.explained import (
     empty_parts,
     visible_at,
 )
-from scipy.spatial import cKDTree
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]

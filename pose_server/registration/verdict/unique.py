@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.pose_server.geometry.point_pairs import PointPairs
 from fleetpose.pose_server.geometry.se3 import inverse, transform
 from fleetpose.pose_server.registration.pair import Pair

@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, NoiseModel
 from fleetpose.protocol.messages import Camera as CameraModel

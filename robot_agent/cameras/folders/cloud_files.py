@@ -13,6 +13,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.errors import DataFolderError
 
 Floats = npt.NDArray[np.float64]

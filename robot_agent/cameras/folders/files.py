@@ -7,9 +7,10 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+from pydantic import ValidationError
+
 from fleetpose.protocol.errors import CalibrationError, DataFolderError
 from fleetpose.protocol.messages import Camera, NoiseModel
-from pydantic import ValidationError
 
 
 def read_colour(path: Path) -> npt.NDArray[np.uint8]:

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from pydantic import ValidationError
+
 from fleetpose.protocol.errors import CalibrationError
 from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, NoiseModel
 from fleetpose.protocol.messages import Camera as CameraModel
@@ -18,7 +20,6 @@ from fleetpose.robot_agent.cameras.folders.views import MEASURED_PIXEL_SIGMA_PX,
 from fleetpose.robot_agent.cameras.replay import replay_order
 from fleetpose.robot_agent.reconstructions.model import ReconstructedView, Reconstruction
 from fleetpose.robot_agent.reconstructions.reading import read_reconstruction
-from pydantic import ValidationError
 
 _NOISE = NoiseModel(
     pixel_sigma_px=MEASURED_PIXEL_SIGMA_PX, depth_sigma_m=(0.0, UNKNOWN_DEPTH_SIGMA, 0.0)

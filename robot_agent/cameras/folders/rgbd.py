@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.errors import CalibrationError, DataFolderError
 from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, NoiseModel
 from fleetpose.protocol.messages import Camera as CameraModel

@@ -16,13 +16,14 @@ from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import ValidationError
+
 from fleetpose.protocol.errors import CalibrationError, DataFolderError
 from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, NoiseModel
 from fleetpose.protocol.messages import Camera as CameraModel
 from fleetpose.robot_agent.cameras.base import Frame, ScatteredPoints
 from fleetpose.robot_agent.cameras.folders.files import noise_of, read_colour, read_json
 from fleetpose.robot_agent.cameras.replay import replay_order
-from pydantic import ValidationError
 
 STRIPPED_CLOUDS = "clouds"
 TRIANGULATED_PIXEL_SIGMA_PX = 0.5  # of each eye, in clouds that state a baseline

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.errors import CalibrationError
 
 log = logging.getLogger(__name__)

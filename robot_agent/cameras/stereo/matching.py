@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.errors import CalibrationError
 from fleetpose.protocol.messages import NoiseModel
 from fleetpose.robot_agent.cameras.base import DisparityImage, Frame

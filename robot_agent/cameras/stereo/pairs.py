@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.robot_agent.cameras.base import CameraError
 from fleetpose.robot_agent.cameras.folders.files import read_colour

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.errors import CalibrationError
 from fleetpose.robot_agent.cameras.stereo.rig import Floats, StereoRig
 

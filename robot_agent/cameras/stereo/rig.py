@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.errors import CalibrationError, DataFolderError
 from fleetpose.protocol.messages import ROBOT_FROM_CAMERA
 from fleetpose.robot_agent.cameras.folders.files import read_json

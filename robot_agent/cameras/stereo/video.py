@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Protocol
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.robot_agent.cameras.base import CameraError
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+
 from fleetpose.evaluation.simulate.world.materials.colours import (
     BRICK,
     GREY,

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
+
 from fleetpose.evaluation.simulate.world.build import Builder, Paint, regular
 from fleetpose.evaluation.simulate.world.materials.facades import Style
 from fleetpose.evaluation.simulate.world.materials.paints import bare, crate, dressed, faint, pasted

@@ -9,6 +9,7 @@ import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
+
 from fleetpose.evaluation.simulate.world.build import Builder, regular
 from fleetpose.evaluation.simulate.world.materials.colours import RED_TILES, SLATE
 from fleetpose.evaluation.simulate.world.materials.facades import Style

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+
 from fleetpose.evaluation.simulate.world.render import Floats, Quad
 
 

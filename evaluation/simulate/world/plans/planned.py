@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+
 from fleetpose.evaluation.simulate.world.materials.textures import Rng
 from fleetpose.evaluation.simulate.world.plans.indoors import INDOORS
 from fleetpose.evaluation.simulate.world.plans.outdoors import OUTDOORS

@@ -5,6 +5,7 @@ statues. None is like another.
 from collections.abc import Callable, Sequence
 
 import numpy as np
+
 from fleetpose.evaluation.simulate.world.build import Builder, regular
 from fleetpose.evaluation.simulate.world.materials.colours import PAINTS
 from fleetpose.evaluation.simulate.world.materials.paints import (
