@@ -3,11 +3,13 @@
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.settings import DumpSettings, SettingsFile, with_options
 
 if TYPE_CHECKING:
     from fleetpose.pose_server.mapping.files import MapFiles
@@ -23,67 +25,28 @@ app = typer.Typer(
 
 
 @app.command()
+@with_options(ServerSettings)
 def run(
-    site: Annotated[
-        str | None, typer.Option(help="Name of the site, a chunk of every key.")
-    ] = None,
-    listen: Annotated[
-        list[str] | None, typer.Option(help="Be the router as well, e.g. tcp/0.0.0.0:7447.")
-    ] = None,
-    connect: Annotated[
-        list[str] | None, typer.Option(help="Router to connect to, e.g. tcp/127.0.0.1:7447.")
-    ] = None,
-    config: Annotated[
-        Path | None, typer.Option(help="zenoh configuration (JSON5) instead.")
-    ] = None,
-    state_dir: Annotated[Path | None, typer.Option(help="Folder of the journal.")] = None,
-    workers: Annotated[int | None, typer.Option(help="Alignment processes.")] = None,
-    cluster: Annotated[
-        str | None, typer.Option(help="Dask scheduler to align on, e.g. tcp://10.0.0.1:8786.")
-    ] = None,
-    skip_pairs: Annotated[
-        Path | None, typer.Option(help="Lines 'r1 r2': pairs left to the operator.")
-    ] = None,
-    anchor: Annotated[str | None, typer.Option(help="Robot at the fleet's origin.")] = None,
-    recipe: Annotated[
-        Literal["full", "paper"] | None,
-        typer.Option(
-            help="full, or paper: as published, which judges nothing, so that located means little."
-        ),
-    ] = None,
-    icp: Annotated[
-        Literal["gicp", "point_to_point", "point_to_plane", "off"] | None,
-        typer.Option(help="ICP of their clouds; gicp is from point to point where sparse."),
-    ] = None,
-    metrics: Annotated[
-        str | None, typer.Option(help="Serve the status to Prometheus at HOST:PORT.")
-    ] = None,
-    takeover: Annotated[
-        bool | None,
-        typer.Option("--takeover", help="Start even if another server of the site is alive."),
-    ] = None,
-    dump_config: Annotated[bool, typer.Option(help="Print the settings and end.")] = False,
+    *,
+    settings: SettingsFile = None,
+    dump_settings: DumpSettings = False,
+    **given: Any,
 ) -> None:
     """Runs the pose server. With neither --listen nor --connect it is its own router on port
     7447.
-    """
-    from fleetpose.pose_server.settings import ServerSettings
 
-    given = {
-        k: v
-        for k, v in locals().items()
-        if k not in ("ServerSettings", "dump_config") and v is not None
-    }
-    if not (listen or connect or config):
-        given["listen"] = ["tcp/127.0.0.1:7447"]
-    settings = ServerSettings(**given)
-    if dump_config:
-        print(settings.model_dump_json(indent=2))
+    Every setting can also be given as FLEETPOSE_SERVER_<NAME> in the environment, or in a file.
+    """
+    loaded = ServerSettings.load(settings, given)
+    if not (loaded.listen or loaded.connect or loaded.config):
+        loaded = loaded.model_copy(update={"listen": ("tcp/127.0.0.1:7447",)})
+    if dump_settings:
+        print(loaded.as_toml(), end="")
         return
     from fleetpose.pose_server.app.build import build
     from fleetpose.pose_server.app.process import serve
 
-    serve(lambda: build(settings))
+    serve(lambda: build(loaded))
 
 
 @app.command()

@@ -2,23 +2,26 @@
 
 import os
 from pathlib import Path
+from typing import Literal
 
 from pydantic import Field
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic_settings import SettingsConfigDict
 
-from fleetpose.pose_server.geometry.icp import Method
+from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.scheduling.settings import Weights
-from fleetpose.pose_server.workers.jobs import RecipeName
+from fleetpose.protocol.settings import Endpoints, Name, ProcessSettings
+
+RecipeName = Literal["full", "paper"]
 
 
-class ServerSettings(BaseSettings):
+class ServerSettings(ProcessSettings):
     """How a pose server runs. Every default works."""
 
-    model_config = SettingsConfigDict(env_prefix="FLEETPOSE_SERVER_", extra="forbid", frozen=True)
+    model_config = SettingsConfigDict(env_prefix="FLEETPOSE_SERVER_")
 
-    site: str = Field("demo", description="name of the site, a chunk of every key")
-    listen: tuple[str, ...] = Field((), description="be the router as well, on these endpoints")
-    connect: tuple[str, ...] = Field((), description="endpoints of the router")
+    site: Name = Field("demo", description="name of the site, a chunk of every key")
+    listen: Endpoints = Field((), description="be the router as well, on these endpoints")
+    connect: Endpoints = Field((), description="endpoints of the router")
     config: Path | None = Field(None, description="zenoh configuration (JSON5) that replaces both")
     state_dir: Path = Field(Path("fleetpose-state"), description="where the journal is kept")
     workers: int = Field(
@@ -27,7 +30,7 @@ class ServerSettings(BaseSettings):
     cluster: str | None = Field(
         None, description="align on this Dask cluster instead, e.g. tcp://10.0.0.1:8786"
     )
-    anchor: str | None = Field(
+    anchor: Name | None = Field(
         None, description="robot whose first keyframe is the origin of the fleet"
     )
     skip_pairs: Path | None = Field(
@@ -36,7 +39,7 @@ class ServerSettings(BaseSettings):
     recipe: RecipeName = Field(
         "full", description="how pairs are aligned: full, or paper (the method as published)"
     )
-    icp: Method = Field(
+    icp: IcpMethod = Field(
         "gicp",
         description="how clouds are brought together: gicp (from point to point where they are "
         "sparse), point_to_point or point_to_plane by Open3D, off",

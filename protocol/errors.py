@@ -27,6 +27,10 @@ class NameTakenError(FleetPoseError):
     """Another live process has the name."""
 
 
+class EndpointError(FleetPoseError):
+    """An endpoint, or a configuration of the network, that cannot be used as it is written."""
+
+
 class CalibrationError(FleetPoseError):
     """A camera's calibration is missing or impossible; the sentence says what to fix."""
 

@@ -6,7 +6,7 @@ Every key begins with `fleet/<site>/`. Names of sites, robots and operators are 
 import re
 from dataclasses import dataclass
 
-from fleetpose.protocol.errors import NameRefusedError
+from fleetpose.protocol.errors import EndpointError, NameRefusedError
 
 NAME_PATTERN = r"^[a-z0-9_-]{1,32}$"
 _NAME = re.compile(NAME_PATTERN)
@@ -23,6 +23,18 @@ def checked_name(name: str) -> str:
     if not _NAME.fullmatch(name):
         raise NameRefusedError(f"'{name}' is no name: use 1 to 32 of a-z, 0-9, '_' and '-'")
     return name
+
+
+def checked_endpoint(text: str) -> str:
+    """Returns the endpoint if it is written as zenoh reads them.
+
+    Raises:
+        EndpointError: it is not.
+    """
+    protocol, slash, address = text.partition("/")
+    if not (protocol and slash and address):
+        raise EndpointError(f"'{text}' is no endpoint: write PROTOCOL/ADDRESS, e.g. tcp/{text}")
+    return text
 
 
 def new_epoch() -> str:

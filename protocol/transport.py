@@ -7,6 +7,7 @@ streams carry their own numbers.
 """
 
 import json
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -18,7 +19,8 @@ from typing import Any
 import zenoh
 from zenoh import ext
 
-from fleetpose.protocol.errors import FleetPoseError, UnreachableError
+from fleetpose.protocol.errors import EndpointError, FleetPoseError, UnreachableError
+from fleetpose.protocol.keys import checked_endpoint
 from fleetpose.protocol.slots import Sample, Slots
 from fleetpose.protocol.text import one_line
 
@@ -48,10 +50,13 @@ def open_session(settings: SessionSettings) -> zenoh.Session:
     """Opens a session: a client of a router, or a router where `listen` names endpoints.
 
     Raises:
+        EndpointError: an endpoint or the configuration file is not as zenoh reads it.
         UnreachableError: no router answered in time, or the endpoint is taken.
     """
+    for endpoint in settings.connect + settings.listen:
+        checked_endpoint(endpoint)
     if settings.config_file is not None:
-        config = zenoh.Config.from_file(str(settings.config_file))
+        config = _config_of(settings.config_file)
     else:
         config = zenoh.Config()
         for key, value in {
@@ -72,6 +77,16 @@ def open_session(settings: SessionSettings) -> zenoh.Session:
     except zenoh.ZError as error:
         where = settings.config_file or ", ".join(settings.connect + settings.listen)
         raise UnreachableError(f"no zenoh router at {where}: {error}") from error
+
+
+def _config_of(file: Path) -> zenoh.Config:
+    if not file.is_file():
+        raise EndpointError(f"the zenoh configuration {file} does not exist")
+    try:
+        return zenoh.Config.from_file(str(file))
+    except zenoh.ZError as error:
+        said = re.sub(r" at /\S+:\d+\.?", "", str(error))  # where in zenoh's own source
+        raise EndpointError(f"the zenoh configuration {file} cannot be read: {said}") from error
 
 
 def free_port() -> int:

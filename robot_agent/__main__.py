@@ -12,6 +12,8 @@ import typer
 
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.logs import log_to_stderr
+from fleetpose.protocol.settings import DumpSettings, SettingsFile, with_options
+from fleetpose.robot_agent.settings import RobotSettings
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
 
@@ -36,86 +38,24 @@ def _agent() -> None:
 
 
 @app.command()
+@with_options(RobotSettings, {"rate_hz": "--rate"})
 def run(
-    name: Annotated[str | None, typer.Option(help="The robot's name, unique in its site.")] = None,
-    camera: Annotated[
-        str | None, typer.Option(help="rgbd, views, reconstruction, stereo or synthetic.")
-    ] = None,
-    data: Annotated[
-        str | None, typer.Option(help="Folder, video, device (or left,right) or endpoint.")
-    ] = None,
-    calibration: Calibration = None,
-    size: Size = None,
-    fps: Fps = None,
-    fourcc: Fourcc = None,
-    max_skew_ms: Skew = None,
-    rate: Annotated[float | None, typer.Option(help="Frames per second. [default: 1]")] = None,
-    replay: Annotated[
-        str | None, typer.Option(help="once, loop, pingpong or hold. [default: once]")
-    ] = None,
-    clouds: Annotated[
-        str | None, typer.Option(help="Posed views: which clouds. [default: clouds]")
-    ] = None,
-    view: Annotated[
-        str | None, typer.Option(help="Posed views, reconstructions: only this view.")
-    ] = None,
-    axes: Annotated[
-        str | None,
-        typer.Option(help="Clouds: robot (x ahead, z up) or optical (z ahead). [default: robot]"),
-    ] = None,
-    metres_per_unit: Annotated[
-        float | None, typer.Option(help="Reconstructions, clouds: their scale. [default: 1]")
-    ] = None,
-    connect: Annotated[
-        list[str] | None, typer.Option(help="Router, repeatable. [default: tcp/127.0.0.1:7447]")
-    ] = None,
-    site: Annotated[str | None, typer.Option(help="The fleet's site. [default: demo]")] = None,
-    config: Annotated[
-        Path | None, typer.Option(help="Zenoh configuration (JSON5) instead of --connect.")
-    ] = None,
-    settings: Annotated[
-        Path | None, typer.Option(help="Settings file (JSON), as --dump-config prints it.")
-    ] = None,
-    takeover: Annotated[
-        bool, typer.Option("--takeover", help="Start even if another agent has the name.")
-    ] = False,
+    *,
+    settings: SettingsFile = None,
     end_with_parent: Annotated[
         bool, typer.Option("--end-with-parent", help="End when the starting process does.")
     ] = False,
-    dump_config: Annotated[
-        bool, typer.Option("--dump-config", help="Print the settings and end.")
-    ] = False,
+    dump_settings: DumpSettings = False,
+    **given: Any,
 ) -> None:
     """Sends a camera's views to the fleet until it has no more, or until SIGTERM or Ctrl-C.
 
     Every setting can also be given as FLEETPOSE_ROBOT_<NAME> in the environment, or in a file.
     """
     parent = os.getppid()  # before the slow imports, in which the parent may end
-    given: dict[str, Any] = {
-        "name": name,
-        "camera": camera,
-        "data": data,
-        "calibration": calibration,
-        "size": size,
-        "fps": fps,
-        "fourcc": fourcc,
-        "max_skew_ms": max_skew_ms,
-        "rate_hz": rate,
-        "replay": replay,
-        "clouds": clouds,
-        "view": view,
-        "axes": axes,
-        "metres_per_unit": metres_per_unit,
-        "connect": tuple(connect) if connect else None,
-        "site": site,
-        "config": config,
-        "takeover": takeover or None,
-    }
-    from fleetpose.robot_agent.settings import RobotSettings
-
     loaded = RobotSettings.load(settings, given)
-    if dump_config:
-        typer.echo(loaded.model_dump_json(indent=2))
+    if dump_settings:
+        typer.echo(loaded.as_toml(), nl=False)
         return
 
     from fleetpose.robot_agent import agent

@@ -27,11 +27,11 @@ from fleetpose.protocol.transport import (
 )
 from fleetpose.robot_agent.cameras.base import Frame
 from fleetpose.robot_agent.cameras.factory import open_camera
+from fleetpose.robot_agent.cameras.kinds import CameraKind
 from fleetpose.robot_agent.features.keypoints import salient_points
 from fleetpose.robot_agent.features.packing import view_of
 from fleetpose.robot_agent.recent_views import KeptViews, kept_view
 from fleetpose.robot_agent.sender import SenderSettings
-from fleetpose.robot_agent.settings import CameraKind
 
 
 @dataclass(frozen=True)

@@ -4,19 +4,16 @@ plane (Chen and Medioni 1992) by Open3D.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 import small_gicp
 
 from fleetpose.pose_server.geometry.errors import MissingLibraryError
+from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.geometry.se3 import adjoint, inverse, transform
 
 Floats = npt.NDArray[np.floating]
-
-Method = Literal["gicp", "point_to_point", "point_to_plane", "off"]
-"""`gicp` takes plain points one by one, where clouds are too sparse to have surfaces."""
 
 _ITERATIONS = 100  # of point to point, which needs many
 _NORMAL_NEIGHBOURS = 12  # of a point, which its plane is fitted to
@@ -126,7 +123,7 @@ def point_to_point(i: DenseCloud, j: DenseCloud, T_i_j: Floats, radius_m: float)
 
 
 def by_open3d(
-    points_i: Floats, points_j: Floats, T_i_j: Floats, radius_m: float, method: Method
+    points_i: Floats, points_j: Floats, T_i_j: Floats, radius_m: float, method: IcpMethod
 ) -> Floats:
     """T_i_j by Open3D's ICP, from point to point or to the planes of i.
 

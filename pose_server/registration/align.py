@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from fleetpose.pose_server.geometry.icp import Method
+from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.registration.diagnostics import with_byproducts, with_suggestions
 from fleetpose.pose_server.registration.pair import RATIO, WIDE_RATIO, Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
@@ -44,7 +44,7 @@ def align_pair(
     j: PreparedView,
     starts: Sequence[Start] = (),
     features: bool = True,
-    icp: Method = "gicp",
+    icp: IcpMethod = "gicp",
 ) -> PairResult:
     """Aligns two views.
 
@@ -86,7 +86,7 @@ def align_wide(
     j: PreparedView,
     usual: PairResult,
     starts: Sequence[Start] = (),
-    icp: Method = "gicp",
+    icp: IcpMethod = "gicp",
 ) -> PairResult:
     """Aligns two views again by their wide sets of salient points; where no matches agree, by the
     shapes of dense clouds.
@@ -118,7 +118,7 @@ def align_from(
     j: PreparedView,
     starts: Sequence[Start],
     known: PairResult,
-    icp: Method = "gicp",
+    icp: IcpMethod = "gicp",
 ) -> PairResult:
     """Aligns two views from given starts alone: what features say of them is known already, and is
     kept where no start leads to anything better. Somebody waits for it: the usual sets must do.
@@ -160,7 +160,7 @@ def is_settled(result: PairResult) -> bool:
 
 
 def _finished(
-    pair: Pair, candidates: Sequence[Candidate], result: PairResult, icp: Method
+    pair: Pair, candidates: Sequence[Candidate], result: PairResult, icp: IcpMethod
 ) -> PairResult:
     """The result of the best candidate, or of what ICP makes of it where that is better."""
     if result.verdict == "rejected" or not (result.icp is None or _needs_icp(result)):
@@ -179,7 +179,7 @@ def _needs_icp(result: PairResult) -> bool:
     return e is not None and (result.verdict != "verified" or e.position_sigma > _WEAK_SIGMA)
 
 
-def _judge_best(pair: Pair, candidates: Sequence[Candidate], icp: Method) -> PairResult:
+def _judge_best(pair: Pair, candidates: Sequence[Candidate], icp: IcpMethod) -> PairResult:
     best = medoid(pair, candidates)
     if icp == "gicp":
         best = with_surfaces(pair, best)

@@ -8,7 +8,6 @@ import numpy.typing as npt
 
 from fleetpose.pose_server.geometry.icp import (
     DenseCloud,
-    Method,
     SurfaceFit,
     by_open3d,
     gicp,
@@ -17,6 +16,7 @@ from fleetpose.pose_server.geometry.icp import (
     point_to_point,
     residual,
 )
+from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.registration.pair import Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 
@@ -61,7 +61,7 @@ class Registered:
 
 
 def registered(
-    pair: Pair, T_i_j: Floats, method: Method, salient_only: bool = False
+    pair: Pair, T_i_j: Floats, method: IcpMethod, salient_only: bool = False
 ) -> Registered | None:
     """A pose after ICP: of the clouds where both are dense, else of the salient points; none where
     it is switched off or there are too few.

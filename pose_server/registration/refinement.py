@@ -12,7 +12,8 @@ from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.features.matching import NO_MATCHES, ratio_matches, union
 from fleetpose.pose_server.geometry.features.refine import NoiseScale, Refinement
 from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles
-from fleetpose.pose_server.geometry.icp import Method, gicp
+from fleetpose.pose_server.geometry.icp import gicp
+from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.geometry.se3 import rotation_angle, transform, weighted_mean
 from fleetpose.pose_server.registration.pair import Pair
 from fleetpose.pose_server.registration.pair_icp import IcpReport, registered
@@ -216,7 +217,7 @@ def with_surfaces(pair: Pair, one: Candidate) -> Candidate:
     return replace(one, T_i_j=T, T_by_matches=one.T_i_j, icp=told)
 
 
-def with_icp(pair: Pair, one: Candidate, method: Method) -> Candidate:
+def with_icp(pair: Pair, one: Candidate, method: IcpMethod) -> Candidate:
     """A candidate after ICP; itself, and what became of it, if that scores worse."""
     found = registered(pair, one.T_i_j, method)
     if found is None:

@@ -15,7 +15,8 @@ import numpy.typing as npt
 from fleetpose.pose_server.geometry import robust
 from fleetpose.pose_server.geometry.features.matching import ratio_matches
 from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles
-from fleetpose.pose_server.geometry.icp import Method, SurfaceFit, by_open3d, gicp, residual
+from fleetpose.pose_server.geometry.icp import SurfaceFit, by_open3d, gicp, residual
+from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.geometry.se3 import position_covariance
 from fleetpose.pose_server.registration.pair import GRAVE_POSITION, GRAVE_ROTATION_RAD, Pair
 from fleetpose.pose_server.registration.pair_icp import IcpReport
@@ -53,7 +54,7 @@ _AS_GOOD = 0.6  # of the winner's score: a pose elsewhere that has it may be the
 
 
 def align_surfaces(
-    pair: Pair, starts: Sequence[Start], search: bool, icp: Method = "gicp"
+    pair: Pair, starts: Sequence[Start], search: bool, icp: IcpMethod = "gicp"
 ) -> PairResult:
     """Aligns two views by their clouds.
 
@@ -135,7 +136,9 @@ def _finely(pair: Pair, one: _Found) -> _Found:
     return _Found(one.kind, fit.T_i_j, score(pair, fit.T_i_j), fit, ms)
 
 
-def _with_method(pair: Pair, one: _Found, method: Method, began: float) -> tuple[_Found, IcpReport]:
+def _with_method(
+    pair: Pair, one: _Found, method: IcpMethod, began: float
+) -> tuple[_Found, IcpReport]:
     """The pose after the ICP that was asked for, where that is no worse, and what is told of it."""
     i, j = (view.measured.for_icp.cloud.points()[:, :3] for view in (pair.i, pair.j))
     radius_m = _FINE_RADIUS * pair.depth_m

@@ -14,11 +14,12 @@ from fleetpose.pose_server.correspondences.lifting import Lifter
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.frontend.frames import upright
 from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose
-from fleetpose.pose_server.geometry.icp import Method
+from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.geometry.se3 import compose_covariance, inverse
 from fleetpose.pose_server.pose_graph.types import ClickFactor, Edge, EdgeKey, FleetSolution
 from fleetpose.pose_server.scheduling.settings import Weights
 from fleetpose.pose_server.scheduling.weighted_round_robin import WeightedRoundRobin
+from fleetpose.pose_server.settings import RecipeName
 from fleetpose.pose_server.state.affine_retries import AffineRetries
 from fleetpose.pose_server.state.doubts import Doubts
 from fleetpose.pose_server.state.odometry import Odometers
@@ -28,7 +29,7 @@ from fleetpose.pose_server.state.pairs import PairRecord, RobotPair, ViewPair
 from fleetpose.pose_server.state.question_feedback import QuestionFeedback
 from fleetpose.pose_server.state.robots import Robot
 from fleetpose.pose_server.state.views import KeptView, ViewStore, same_camera
-from fleetpose.pose_server.workers.jobs import EncodedView, RecipeName
+from fleetpose.pose_server.workers.jobs import EncodedView
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.keys import ordered_pair
 from fleetpose.protocol.messages import Alarm, PairCell, ViewName
@@ -92,7 +93,7 @@ class Site:
     located_sigma: float = 0.05
     located_grave: float = 0.05
     recipe: RecipeName = "full"
-    icp: Method = "gicp"
+    icp: IcpMethod = "gicp"
     anchor: str | None = None
     views: ViewStore = field(default_factory=ViewStore)
     robots: dict[str, Robot] = field(default_factory=dict)

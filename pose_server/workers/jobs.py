@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from fleetpose.pose_server.geometry.features.motion import Mask
-from fleetpose.pose_server.geometry.icp import Method
+from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.registration.operator_starts import (
     Clicks,
     OperatorStart,
@@ -14,6 +14,7 @@ from fleetpose.pose_server.registration.operator_starts import (
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 from fleetpose.pose_server.registration.refinement import Start
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.settings import RecipeName
 from fleetpose.protocol.messages import ViewName
 
 _FOUND = ("verified", "plausible")
@@ -23,7 +24,6 @@ _FOUND_SIGMA = 0.02  # of a pose that features found, as a start; share of the d
 
 
 Purpose = Literal["clicks", "track", "pair"]
-RecipeName = Literal["full", "paper"]
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Job:
     known: PairResult | None = None
     urgent: bool = False
     recipe: RecipeName = "full"
-    icp: Method = "gicp"
+    icp: IcpMethod = "gicp"
 
     def click_sets(self, i: PreparedView, j: PreparedView) -> list[OperatorStart]:
         """The clicks as far as they agree; one or two take their rotation from what is known of the

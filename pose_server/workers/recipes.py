@@ -10,7 +10,8 @@ from fleetpose.pose_server.registration.clicked import with_clicks
 from fleetpose.pose_server.registration.paper import align_as_published
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
-from fleetpose.pose_server.workers.jobs import Job, RecipeName
+from fleetpose.pose_server.settings import RecipeName
+from fleetpose.pose_server.workers.jobs import Job
 
 BothWide = Callable[[], tuple[PreparedView, PreparedView]]
 

@@ -10,8 +10,17 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fleetpose.robot_agent.cameras.base import Camera
+from fleetpose.robot_agent.cameras.kinds import CameraKind
 
-CameraKind = Literal["rgbd", "views", "reconstruction", "bundler", "cloud", "stereo", "synthetic"]
+_MODULES: dict[CameraKind, str] = {
+    "rgbd": "folders.rgbd",
+    "views": "folders.views",
+    "reconstruction": "folders.reconstruction",
+    "bundler": "folders.reconstruction",
+    "cloud": "folders.cloud",
+    "stereo": "stereo.matching",
+    "synthetic": "synthetic",
+}
 _OPTIONS = {
     "views": ("clouds", "view"),
     "reconstruction": ("view", "metres_per_unit"),
@@ -36,8 +45,7 @@ def open_camera(
     """Opens a camera.
 
     Args:
-        kind: the name of its module in `robot_agent.cameras`, only that one is imported; `bundler`
-            is `reconstruction`.
+        kind: only its module is imported; `bundler` is `reconstruction`.
         source: a folder, a file, a device or an endpoint, whatever the kind reads.
         replay: `once`, `loop`, `pingpong` or `hold`, for recordings.
         clouds: posed views only, which kind of clouds to take.
@@ -61,6 +69,6 @@ def open_camera(
         "stop": stop,
     }
     name = "reconstruction" if kind == "bundler" else kind
-    module = import_module(f"fleetpose.robot_agent.cameras.{name}")
+    module = import_module(f"fleetpose.robot_agent.cameras.{_MODULES[kind]}")
     options = {option: given[option] for option in _OPTIONS.get(name, ())}
     return module.open_camera(source, replay, **options)

@@ -160,8 +160,9 @@ def test_any_rig_file_is_a_rig_or_refused_with_a_sentence(changes):
 @few
 @given(content=st.dictionaries(st.sampled_from(sorted(RobotSettings.model_fields)), junk))
 def test_any_settings_file_is_read_or_refused_with_a_sentence(tmp_path, content):
-    file = tmp_path / "settings.json"
-    file.write_text(json.dumps(content))
+    file = tmp_path / "settings.toml"
+    lines = (f"{name} = {json.dumps(value)}" for name, value in content.items())
+    file.write_text("\n".join(lines))
     try:
         loaded = RobotSettings.load(file, {"name": "r1", "camera": "rgbd"})
     except FleetPoseError as error:

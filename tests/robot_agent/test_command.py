@@ -1,11 +1,11 @@
 """The command `robot-agent`, as a process."""
 
-import json
 import os
 import signal
 import subprocess
 import sys
 import time
+import tomllib
 
 import cv2
 import numpy as np
@@ -159,7 +159,7 @@ def test_a_name_in_use_ends_it_with_one_sentence(start, router, link, recording)
         (("--name", "r1", "--camera", "sonar"), "'camera'"),
         (("--name", "r1", "--camera", "rgbd", "--rate", "0"), "'rate_hz'"),
         (("--name", "r1", "--camera", "rgbd", "--data", "nowhere"), "nowhere"),
-        (("--name", "r1", "--camera", "rgbd", "--settings", "nowhere.json"), "nowhere.json"),
+        (("--name", "r1", "--camera", "rgbd", "--settings", "nowhere.toml"), "nowhere.toml"),
     ],
 )
 def test_a_wrong_setting_ends_it_with_one_sentence(start, arguments, sentence):
@@ -184,18 +184,18 @@ def test_no_router_ends_it_with_one_sentence(start, recording):
 
 
 def test_the_command_line_goes_before_the_environment_before_the_file(start, tmp_path):
-    file = tmp_path / "settings.json"
-    file.write_text(json.dumps({"name": "r1", "site": "file", "jpeg_quality": 70, "rate_hz": 2}))
+    file = tmp_path / "settings.toml"
+    file.write_text('name = "r1"\nsite = "file"\njpeg_quality = 70\nrate_hz = 2\n')
     agent = start(
-        *("--settings", str(file), "--camera", "rgbd", "--rate", "4", "--dump-config"),
+        *("--settings", str(file), "--camera", "rgbd", "--rate", "4", "--dump-settings"),
         FLEETPOSE_ROBOT_SITE="environment",
         FLEETPOSE_ROBOT_RATE_HZ="3",
     )
     out, _ = agent.communicate(timeout=20)
-    dumped = json.loads(out)
+    dumped = tomllib.loads(out)
     assert (dumped["site"], dumped["jpeg_quality"], dumped["rate_hz"]) == ("environment", 70, 4)
     file.write_text(out)
-    again = start("--settings", str(file), "--dump-config")
+    again = start("--settings", str(file), "--dump-settings")
     assert again.communicate(timeout=20)[0] == out
 
 

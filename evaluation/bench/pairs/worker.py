@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from fleetpose.pose_server.registration.prepared_view import PreparedView
     from fleetpose.pose_server.registration.verdict.evaluate import PairResult
     from fleetpose.pose_server.registration.verdict.hearing import Hearing
-    from fleetpose.robot_agent.cameras.factory import CameraKind
+    from fleetpose.robot_agent.cameras.kinds import CameraKind
 
 CACHED_VIEWS = 64
 
