@@ -8,6 +8,7 @@ import difflib
 import inspect
 import json
 import os
+import re
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from pathlib import Path
@@ -50,10 +51,10 @@ def _checked(check: Callable[[str], str]) -> AfterValidator:
 
 
 def _listed(value: Any) -> Any:
-    """A list may stand in the environment as JSON, or with commas."""
+    """A list may stand in the environment as JSON, or with commas or spaces."""
     if not isinstance(value, str):
         return value
-    return json.loads(value) if value.lstrip().startswith("[") else value.split(",")
+    return json.loads(value) if value.lstrip().startswith("[") else re.split(r"[,\s]+", value)
 
 
 Name = Annotated[str, _checked(checked_name)]

@@ -76,7 +76,7 @@ def open_session(settings: SessionSettings) -> zenoh.Session:
         return zenoh.open(config)
     except zenoh.ZError as error:
         where = settings.config_file or ", ".join(settings.connect + settings.listen)
-        raise UnreachableError(f"no zenoh router at {where}: {error}") from error
+        raise UnreachableError(f"no zenoh router at {where}: {_said(error)}") from error
 
 
 def _config_of(file: Path) -> zenoh.Config:
@@ -85,8 +85,14 @@ def _config_of(file: Path) -> zenoh.Config:
     try:
         return zenoh.Config.from_file(str(file))
     except zenoh.ZError as error:
-        said = re.sub(r" at /\S+:\d+\.?", "", str(error))  # where in zenoh's own source
-        raise EndpointError(f"the zenoh configuration {file} cannot be read: {said}") from error
+        raise EndpointError(
+            f"the zenoh configuration {file} cannot be read: {_said(error)}"
+        ) from error
+
+
+def _said(error: zenoh.ZError) -> str:
+    """What zenoh said, without where in its own source."""
+    return re.sub(r" at /\S+:\d+\.?", "", str(error))
 
 
 def free_port() -> int:

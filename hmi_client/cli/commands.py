@@ -13,8 +13,10 @@ import typer
 
 from fleetpose.hmi_client.cli import connection as c
 from fleetpose.hmi_client.cli import correspondences, recordings
-from fleetpose.hmi_client.cli.options import Fps, KeysFile, LogFile, Theme, Threshold
+from fleetpose.hmi_client.cli.options import Fps, KeysFile, LogFile, SettingsFile, Theme, Threshold
 from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.settings import ClientSettings
+from fleetpose.protocol.settings import DumpSettings
 
 ALIGNMENTS_S = 1.0  # they are latched: what has not come by then was never told
 
@@ -32,21 +34,29 @@ def default(
     fps: Fps = 10.0,
     threshold: Threshold = None,
     theme: Theme = "auto",
-    keys: KeysFile = None,
+    keys_file: KeysFile = None,
     log: LogFile = None,
     connect: c.Connect = c.DEFAULT_CONNECT,
     site: c.Site = c.DEFAULT_SITE,
     config: c.Config = None,
     operator: c.Operator = "",
+    settings: SettingsFile = None,
+    dump_settings: DumpSettings = False,
 ) -> None:
     """The operator's client of a fleet: see where every robot is, and help where asked.
 
-    Without a command it is the screen. Options count for the command behind them as well.
+    Without a command it is the screen. Options count for the command behind them as well. Those
+    that a settings file may hold can also be given as FLEETPOSE_HMI_<NAME> in the environment.
     """
+    if dump_settings:
+        given = context.params | {"keys": keys_file}
+        in_use = {name: given[name] for name in ClientSettings.model_fields}
+        typer.echo(ClientSettings(**in_use).as_toml(), nl=False)
+        raise typer.Exit
     if context.invoked_subcommand is not None:
         return
     if sys.stdin.isatty() and sys.stdout.isatty():
-        screen(fps, threshold, theme, keys, log, connect, site, config, operator)
+        screen(fps, threshold, theme, keys_file, log, connect, site, config, operator)
     else:
         typer.echo(context.get_help())
 
@@ -56,7 +66,7 @@ def screen(
     fps: Fps = 10.0,
     threshold: Threshold = None,
     theme: Theme = "auto",
-    keys: KeysFile = None,
+    keys_file: KeysFile = None,
     log: LogFile = None,
     connect: c.Connect = c.DEFAULT_CONNECT,
     site: c.Site = c.DEFAULT_SITE,
@@ -66,7 +76,8 @@ def screen(
     """Shows map, errors and images; q quits."""
     from fleetpose.hmi_client.tui.run import run_screen
 
-    run_screen(c.Connection.of(connect, site, config, operator), fps, threshold, log, theme, keys)
+    where = c.Connection.of(connect, site, config, operator)
+    run_screen(where, fps, threshold, log, theme, keys_file)
 
 
 @app.command()
@@ -96,11 +107,11 @@ def screenshot(
 
 
 @app.command("keys")
-def show_keys(keys: KeysFile = None) -> None:
+def show_keys(keys_file: KeysFile = None) -> None:
     """Prints the keys of all commands, as a file that you can change and use (--keys)."""
     from fleetpose.hmi_client.tui.run import keymap_of
 
-    typer.echo(keymap_of(keys).as_toml(), nl=False)
+    typer.echo(keymap_of(keys_file).as_toml(), nl=False)
 
 
 @app.command()

@@ -24,19 +24,17 @@ Connect = Annotated[
     list[str],
     typer.Option(
         help="endpoint of the router, repeatable",
-        envvar="FLEETPOSE_HMI_CONNECT",
         callback=given_before,
     ),
 ]
 Site = Annotated[
     str,
-    typer.Option(help="name of the site", envvar="FLEETPOSE_HMI_SITE", callback=given_before),
+    typer.Option(help="name of the site", callback=given_before),
 ]
 Config = Annotated[
     Path | None,
     typer.Option(
         help="zenoh configuration (JSON5), replaces --connect",
-        envvar="FLEETPOSE_HMI_CONFIG",
         callback=given_before,
     ),
 ]
@@ -44,7 +42,6 @@ Operator = Annotated[
     str,
     typer.Option(
         help="who you are; default: the user's name",
-        envvar="FLEETPOSE_HMI_OPERATOR",
         callback=given_before,
     ),
 ]

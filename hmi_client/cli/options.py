@@ -1,9 +1,11 @@
-"""Options of the commands that show the screen."""
+"""Options of the commands that show the screen, and of all."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
+
+from fleetpose.hmi_client.settings import as_defaults
 
 
 def given_before(context: typer.Context, parameter: typer.CallbackParam, value: Any) -> Any:
@@ -23,6 +25,15 @@ def _is_written(context: Any, name: str) -> bool:
     return source is not None and source.name == "COMMANDLINE"  # typer has had two homes for it
 
 
+SettingsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--settings",
+        help="settings file (TOML), as --dump-settings prints it",
+        is_eager=True,
+        callback=as_defaults,
+    ),
+]
 Fps = Annotated[
     float,
     typer.Option(help="looks at the state per second", min=1, max=60, callback=given_before),
@@ -38,8 +49,8 @@ Threshold = Annotated[
 KeysFile = Annotated[
     Path | None,
     typer.Option(
+        "--keys",
         help="TOML file of keys, see 'hmi-client keys'; default: keys.toml in the config folder",
-        envvar="FLEETPOSE_HMI_KEYS",
         callback=given_before,
     ),
 ]
@@ -51,7 +62,6 @@ Theme = Annotated[
     Literal["auto", "dark", "light", "mono"],
     typer.Option(
         help="colours; auto: mono with NO_COLOR, light or dark by COLORFGBG, else dark",
-        envvar="FLEETPOSE_HMI_THEME",
         callback=given_before,
     ),
 ]

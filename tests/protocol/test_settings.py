@@ -6,7 +6,9 @@ import sys
 import tomllib
 
 import pytest
+from typer.testing import CliRunner
 
+from fleetpose.hmi_client.cli.commands import app as client
 from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.protocol.settings import SettingsRefusedError
 
@@ -84,3 +86,14 @@ def test_every_process_says_it_in_one_sentence(tmp_path, program, arguments, say
     )  # fmt: skip
     assert done.returncode != 0 and says in done.stderr
     assert "Traceback" not in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_the_client_takes_a_setting_from_the_command_line_before_environment_and_file(tmp_path):
+    file = tmp_path / "client.toml"
+    file.write_text('site = "file"\ntheme = "light"\noperator = "anna"\n')
+    ask = ["--settings", str(file), "--theme", "mono", "--dump-settings"]
+    done = CliRunner().invoke(client, ask, env={"FLEETPOSE_HMI_SITE": "environment"})
+    told = tomllib.loads(done.output)
+    assert (told["theme"], told["site"], told["operator"]) == ("mono", "environment", "anna")
+    wrong = CliRunner().invoke(client, ["status"], env={"FLEETPOSE_HMI_SIGHT": "x"})
+    assert "is 'FLEETPOSE_HMI_SITE' meant" in str(wrong.exception)
