@@ -35,9 +35,12 @@ format: $(READY) ## Formats the code.
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/ruff format .
 
-docs: $(READY) ## Builds the site of docs/ in out/site; what does not resolve ends it.
+docs: $(VENV)/.docs ## Builds the site of docs/ in out/site; a link that leads nowhere ends it.
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --clean
+
+$(VENV)/.docs: $(READY)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
-	@$(BIN)/mkdocs build --quiet --strict --clean
+	@touch $@
 
 clean: ## Removes the environment and what tools leave.
 	rm -rf $(VENV) build dist out/site *.egg-info .pytest_cache .ruff_cache .hypothesis
