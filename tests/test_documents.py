@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 import typer
 
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import MESSAGES
 from tests.documents import (
     Command,
     WrongCommandError,
@@ -42,7 +44,6 @@ FOLDERS = (
     *("protocol", "robot_agent", "pose_server", "hmi_client", "evaluation", "deploy"),
     *("scripts", "tests"),
 )
-OF_OTHERS = frozenset({"--snapshot-update"})  # options of other programs that documents name
 
 each_document = pytest.mark.parametrize(
     "document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT))
@@ -75,7 +76,7 @@ def test_commands_and_their_options_exist(document, apps):
 @each_document
 def test_options_that_stand_alone_are_options_of_some_command(document, apps):
     known = set().union(*map(flags_of, apps.values()))
-    assert not set(options_in(document.read_text())) - known - OF_OTHERS
+    assert not set(options_in(document.read_text())) - known
 
 
 @each_document
@@ -107,10 +108,26 @@ def test_the_first_pages_stay_short():
     assert len((ROOT / "README.md").read_text().splitlines()) <= MOST_LINES
 
 
-def test_the_readme_shows_python_and_the_commands_of_all_three_processes(apps):
+def test_the_readme_shows_python_and_all_three_processes(apps):
     text = (ROOT / "README.md").read_text()
     assert "from fleetpose import" in "".join(python_in(text))
-    assert {command.words[0] for command in commands_in(text, apps)} >= {"robot-agent"}
+    assert {command.words[0] for command in commands_in(text, apps)} >= set(list(APPS)[:3])
+
+
+def test_the_wire_page_has_every_message_and_every_key():
+    text = (ROOT / "docs/wire.md").read_text()
+    for message in MESSAGES:
+        assert f"| `{message.__name__}` | `{message.schema_name}` |" in text
+    keys = Keys()
+    for key in (
+        *(keys.camera("<id>"), keys.cloud("<id>"), keys.image("<id>"), keys.odometry("<id>")),
+        *(keys.view("<id>"), keys.robot_alive("<id>", "<epoch>"), keys.pose("<id>")),
+        *(keys.alignment("<i>", "<j>"), keys.correspondences("<i>", "<j>")),
+        *(keys.updates("<op>"), keys.receipts("<op>"), keys.selection("<op>")),
+        *(keys.state, keys.status, keys.relative, keys.why, keys.server_view),
+        keys.server_alive("<epoch>"),
+    ):
+        assert f"| `{key.removeprefix(keys.root + '/')}" in text
 
 
 def test_the_documents_name_every_program(apps):
