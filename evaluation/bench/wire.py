@@ -11,10 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from fleetpose.evaluation.data.anonymize import noise_model
-from fleetpose.evaluation.data.opening import open_recording, points_of
-from fleetpose.evaluation.data.recording import CloudKind, Recording, TrueView
+from fleetpose.evaluation.data.opening import points_of
+from fleetpose.evaluation.data.recording import Recording, TrueView
 from fleetpose.evaluation.data.rgbd import DEPTH_UNIT_M, read_depth
 from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.options.recorded import WireOptions
 from fleetpose.evaluation.report.output import (
     output_folder,
     print_table,
@@ -79,7 +80,7 @@ class Row:
     decode_ms: float
 
 
-def run(data: Path, kind: CloudKind | None, out: Path, limit: int = 10) -> dict[str, Any]:
+def run(options: WireOptions, out: Path) -> dict[str, Any]:
     """Measures on views spread evenly over a recording; returns the summary.
 
     Raises:
@@ -88,10 +89,10 @@ def run(data: Path, kind: CloudKind | None, out: Path, limit: int = 10) -> dict[
     import cv2
 
     cv2.setNumThreads(1)
-    recording = open_recording(data, kind)
+    recording = options.recording()
     output_folder(out)
     usable = recording.usable
-    chosen = np.unique(np.linspace(0, len(usable) - 1, min(limit, len(usable))).astype(int))
+    chosen = np.unique(np.linspace(0, len(usable) - 1, min(options.views, len(usable))).astype(int))
     codecs = codecs_of(recording)
     rows: dict[str, list[Row]] = {name: [] for name in codecs}
     sizes: dict[int, list[tuple[int, int]]] = {SALIENT_POINTS: [], default_salient(): []}
