@@ -247,8 +247,8 @@ def _plot(path: Path, solution: FleetSolution, nodes: Sequence[ViewName]) -> Non
     places = np.array([solution.nodes[node].T_root_camera[:3, 3] for node in nodes])
     plane = np.linalg.svd(places - places.mean(0), full_matrices=False)[2][:2]
     xy = (places - places.mean(0)) @ plane.T
-    about = {"title": "solved pose graph", "xlabel": "m", "ylabel": "m", "aspect": "equal"}
-    with plot(path, (7.0, 7.0), **about) as axes:
+    with plot(path, (7.0, 7.0), title="solved pose graph", xlabel="m", aspect="equal") as axes:
+        axes.set(ylabel="m")
         for robot in sorted({node.robot for node in nodes}):
             own = [k for k, node in enumerate(nodes) if node.robot == robot]
             axes.plot(*xy[own].T, "-", linewidth=1, label=robot)

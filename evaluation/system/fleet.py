@@ -90,6 +90,7 @@ def run(options: FleetOptions, out: Path) -> dict[str, Any]:
         raise FleetPoseError(
             f"--seconds {options.seconds:g}: poses are scored from 20 s on, give more"
         )
+    options.in_metres()  # what cannot be is said before anything is made
     for old in output_folder(out).glob("logs/*.log"):
         old.unlink()
     watch = _Watch()

@@ -79,12 +79,14 @@ def run(options: OperateOptions, out: Path) -> dict[str, Any]:
     Raises:
         FleetPoseError: the data cannot be used, or the screen did not go on as it should.
     """
+    of_fleet = options.of_fleet()
+    of_fleet.in_metres()  # what cannot be is said before anything is made
     folder = output_folder(out)
     screens = folder / "screens"
     for old in screens.glob("*.txt"):
         old.unlink()
     with tempfile.TemporaryDirectory(prefix="fleetpose-") as scratch:
-        plan = plan_fleet(options.of_fleet(), Path(scratch))
+        plan = plan_fleet(of_fleet, Path(scratch))
         skip = kept_apart(plan.names, Path(scratch))
         shutil.rmtree(folder / "logs", ignore_errors=True)
         with LocalFleet(folder / "logs") as fleet:
