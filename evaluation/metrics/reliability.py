@@ -26,10 +26,7 @@ def expected_calibration_error(p: Sequence[float], true: Sequence[bool]) -> floa
 def plot_reliability(path: Path, p: Sequence[float], true: Sequence[bool]) -> None:
     """Observed share of grave errors over the stated probability, with the number of pairs."""
     bins, stated, came = _bins(p), np.asarray(p, float), np.asarray(true, float)
-    labels = {
-        "xlabel": "stated probability of a grave error",
-        "ylabel": "share that is gravely off",
-    }
+    x, y = "stated probability of a grave error", "share that is gravely off"
     title = f"expected calibration error {expected_calibration_error(p, true):.3f}"
     with plot(path, legend="upper left", grid=True, title=title, xlabel=x, ylabel=y) as axes:
         axes.plot([0, 1], [0, 1], color="grey", label="as stated")
