@@ -11,7 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
-from fleetpose.evaluation.system.faults.clicker import Pair, Places
+from fleetpose.evaluation.system.faults.clicker import Places
+from fleetpose.evaluation.system.faults.heard import Pair
 from fleetpose.evaluation.system.fleet import (
     FleetPlan,
     observed,

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
-from fleetpose.evaluation.system.faults.desk import Pair, clickable, operator, replayed_fleet
+from fleetpose.evaluation.system.faults.desk import clickable, operator, replayed_fleet
+from fleetpose.evaluation.system.faults.heard import Pair
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.transport import wait_until

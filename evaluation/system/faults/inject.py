@@ -15,7 +15,7 @@ from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 from fleetpose.evaluation.metrics.fleet_scoring import SampleRow, score_sample, summarize_poses
 from fleetpose.evaluation.metrics.scoring import Limits, share
 from fleetpose.evaluation.report.output import write_csv
-from fleetpose.evaluation.system.faults.faulty import CLOCK_AHEAD_S
+from fleetpose.evaluation.system.faults.troubled import CLOCK_AHEAD_S
 from fleetpose.evaluation.system.faults.troubles import (
     FAULTY,
     Carried,
@@ -198,8 +198,8 @@ def _start_robots(name: str, fault: Fault, trouble: Trouble) -> None:
         elif fault.later or not fault.in_robot:
             trouble.start(replace(robot, rate_hz=_RATE_HZ))
         else:
-            where = (FAULTY, fleet.endpoint, fleet.site, robot.data, name, str(_RATE_HZ))
-            fleet.start(FAULTY, "fleetpose.evaluation.system.faults.faulty", *where, nice=10)
+            where = (name, FAULTY, fleet.endpoint, fleet.site, str(_RATE_HZ), robot.data)
+            fleet.start(FAULTY, "fleetpose.evaluation.system.faults.troubled", *where, nice=10)
 
 
 @dataclass

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
-from fleetpose.evaluation.system.faults.desk import Pair, clickable, operator, replayed_fleet
+from fleetpose.evaluation.system.faults.desk import clickable, operator, replayed_fleet
+from fleetpose.evaluation.system.faults.heard import Pair
 from fleetpose.evaluation.system.fleet import FleetPlan
 from fleetpose.evaluation.system.observer import Observer, SeenView
 from fleetpose.hmi_client.model.session import OperatorSession
