@@ -20,14 +20,8 @@ from fleetpose.evaluation.bench.pairs.worker import true_overlap, use_one_thread
 from fleetpose.evaluation.bench.working import Bench
 from fleetpose.evaluation.data.opening import median_depth_m
 from fleetpose.evaluation.data.recording import Recording, TrueView, shared_tracks
-from fleetpose.evaluation.metrics.geometry import Floats, inverse
-from fleetpose.evaluation.metrics.scoring import (
-    Limits,
-    percentile,
-    position_error_m,
-    rotation_error_deg,
-    share,
-)
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.metrics.scoring import Limits, percentile, pose_errors, share
 from fleetpose.evaluation.options.recorded import AlignOptions
 from fleetpose.evaluation.report.output import (
     output_folder,
@@ -104,7 +98,7 @@ def run(options: AlignOptions, out: Path) -> dict[str, Any]:
         with ThreadPoolExecutor(workers) as at_once:
             answers = list(at_once.map(by_all, pairs))
     bars = Bars.of(median_m, recording.is_rgbd)
-    truths = [_T_i_j(i, j) for i, j in pairs]
+    truths = [i.T_to(j) for i, j in pairs]
     rows = [
         score(name, truths, [answer[name] for answer in answers], bars) for name in (OURS, *peers)
     ]
@@ -134,9 +128,7 @@ def score(
 ) -> dict[str, Any]:
     """A method's shares of all pairs, answered or not, and its median times."""
     errors = [
-        (position_error_m(truth, answer.T_i_j), rotation_error_deg(truth, answer.T_i_j))
-        if answer.T_i_j is not None
-        else (float("inf"), float("inf"))
+        (float("inf"), float("inf")) if answer.T_i_j is None else pose_errors(truth, answer.T_i_j)
         for truth, answer in zip(truths, answers, strict=True)
     ]
     return {
@@ -156,7 +148,7 @@ def _alignable(
     """The pairs that see enough of the same: by overlap (RGB-D), or by shared tracks."""
     pairs = pairs_of(recording)
     if recording.is_rgbd:
-        jobs = [(n, (true_overlap, i, j, _T_i_j(i, j))) for n, (i, j) in enumerate(pairs)]
+        jobs = [(n, (true_overlap, i, j, i.T_to(j))) for n, (i, j) in enumerate(pairs)]
         overlaps = dict(bench.as_done("overlap", jobs, in_flight=8))
         chosen = [pair for n, pair in enumerate(pairs) if overlaps[n] >= min_overlap]
     else:
@@ -164,11 +156,6 @@ def _alignable(
     if not chosen:
         raise DataFolderError(f"no pair of {recording.directory} sees enough of the same")
     return chosen
-
-
-def _T_i_j(i: TrueView, j: TrueView) -> Floats:
-    """The truth."""
-    return inverse(i.T_world_camera) @ j.T_world_camera
 
 
 def _print(summary: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from fleetpose.evaluation.bench.pairs.worker import timed
 from fleetpose.evaluation.metrics.geometry import Floats, inverse
 from fleetpose.evaluation.metrics.scoring import percentile
 from fleetpose.evaluation.options.recorded import SolveOptions
@@ -49,9 +50,7 @@ def run(options: SolveOptions, out: Path) -> dict[str, Any]:
         most = robots * min(NEAR, robots - 1) // 2
         raise FleetPoseError(f"--edges {edges}: {robots} robots have from {robots - 1} to {most}")
     fleet = make_up(robots, edges, options.wrong, np.random.default_rng(options.seed))
-    began = time.perf_counter()
-    _solved(fleet, range(edges), None)
-    scratch_ms = 1e3 * (time.perf_counter() - began)
+    _, scratch_ms = timed(lambda: _solved(fleet, range(edges), None))
     first = max(int(AT_FIRST * edges), 1)
     solution = _solved(fleet, range(first), None)
     updates_ms = []

@@ -13,8 +13,7 @@ from fleetpose.evaluation.metrics.scoring import (
     aligned_errors_m,
     nees,
     percentile,
-    position_error_m,
-    rotation_error_deg,
+    pose_errors,
     share,
     with_reference,
 )
@@ -86,11 +85,12 @@ def score_sample(
 def _scored(row: SampleRow, pose: PoseNow, gauge: PoseNow, reference_sigma_m: float) -> SampleRow:
     allowed = with_reference(pose.covariance, reference_sigma_m)
     T_true = gauge.T_fleet_robot @ inverse(gauge.T_world_robot) @ pose.T_world_robot
+    error_m, error_deg = pose_errors(T_true, pose.T_fleet_robot)
     return replace(
         row,
         located=pose.located,
-        position_error_m=position_error_m(T_true, pose.T_fleet_robot),
-        rotation_error_deg=rotation_error_deg(T_true, pose.T_fleet_robot),
+        position_error_m=error_m,
+        rotation_error_deg=error_deg,
         nees=None if row.is_anchor else nees(T_true, pose.T_fleet_robot, allowed),
     )
 

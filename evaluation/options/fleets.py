@@ -5,22 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Self
 
 from fleetpose.evaluation.options.building import Text, numbers, told
-from fleetpose.evaluation.options.recorded import CloudKind
+from fleetpose.evaluation.options.names import CloudKind, PlanName
 
 if TYPE_CHECKING:
     from fleetpose.evaluation.data.recording import Recording
-
-PlanName = Literal[
-    "colonnade",
-    "corridor",
-    "courtyard2",
-    "courtyard4",
-    "facade",
-    "halls",
-    "halls_apart",
-    "mirror",
-    "weak",
-]
 
 
 def _columns_and_rows(option: str, text: str) -> tuple[int, int]:

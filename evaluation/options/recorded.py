@@ -3,17 +3,16 @@
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
 from fleetpose.evaluation.options.building import Text, numbers, told
+from fleetpose.evaluation.options.names import CloudKind, RecipeOption
 
 if TYPE_CHECKING:
     from fleetpose.evaluation.data.recording import Recording
 
-CloudKind = Literal["sparse", "sparse_noisy", "stereo_pair_sparse", "stereo_dense"]
-RecipeOption = Literal["paper", "full", "both"]
 
 Out = Annotated[Path, Option(help="Folder for the results; it is made.")]
 

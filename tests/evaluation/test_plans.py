@@ -21,7 +21,8 @@ from fleetpose.evaluation.data.opening import open_recording, points_of
 from fleetpose.evaluation.data.recording import CLOUD_KINDS, shared_tracks
 from fleetpose.evaluation.metrics.geometry import inverse, transform
 from fleetpose.evaluation.metrics.scoring import Limits
-from fleetpose.evaluation.options.fleets import FleetOptions, PlanName, SynthOptions, WorldOptions
+from fleetpose.evaluation.options.fleets import FleetOptions, SynthOptions, WorldOptions
+from fleetpose.evaluation.options.names import PlanName
 from fleetpose.evaluation.simulate.world import PLANS, PlanWorld
 from fleetpose.evaluation.simulate.world.plans.planned import plan_named, stations
 from fleetpose.evaluation.simulate.world.plans.things import unique_things

@@ -17,20 +17,14 @@ from fleetpose.evaluation.bench.clicks.deceptive import (
     one_step_along,
 )
 from fleetpose.evaluation.bench.clicks.truth import true_pixels
-from fleetpose.evaluation.bench.clicks.worker import kept, takes
+from fleetpose.evaluation.bench.clicks.worker import kept, sizes_of, takes
 from fleetpose.evaluation.bench.questions.play import aligned
 from fleetpose.evaluation.bench.questions.server import FleetServer
 from fleetpose.evaluation.bench.working import bench_of
 from fleetpose.evaluation.data.opening import median_depth_m
 from fleetpose.evaluation.data.recording import Recording, TrueView
-from fleetpose.evaluation.metrics.geometry import Floats, inverse
-from fleetpose.evaluation.metrics.scoring import (
-    Limits,
-    optical_angle_deg,
-    position_error_m,
-    rotation_error_deg,
-    share,
-)
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.metrics.scoring import Limits, optical_angle_deg, pose_errors, share
 from fleetpose.evaluation.options.recorded import ClicksOptions
 from fleetpose.evaluation.report.output import output_folder, write_csv, write_summary
 
@@ -162,8 +156,7 @@ def deceive(task: Task) -> list[Deceived]:
     else:
         right = corners_in_order(task.recording, task.pair, true, rng, takes(views))
         sets = [] if right is None else in_other_orders(right)
-    sizes = tuple((view.camera.width, view.camera.height) for view in views)
-    later = right_clicks(true, RIGHT_CLICKS, rng, (sizes[0], sizes[1]), takes(views))
+    later = right_clicks(true, RIGHT_CLICKS, rng, sizes_of(views), takes(views))
     if len(later) < RIGHT_CLICKS:
         return []
     return [_played(task, wrong, later) for wrong in sets]
@@ -246,7 +239,5 @@ def _standing(task: Task, server: FleetServer) -> _Standing:
     located = len(server.located_cameras()) == len(task.pair)
     if T is None:
         return _Standing(None, False, located)
-    T_true = inverse(task.pair[0].T_world_camera) @ task.pair[1].T_world_camera
-    T = np.asarray(T, np.float64)
-    error_m = position_error_m(T_true, T)
-    return _Standing(error_m, task.limits.grave(error_m, rotation_error_deg(T_true, T)), located)
+    errors = pose_errors(task.pair[0].T_to(task.pair[1]), np.asarray(T, np.float64))
+    return _Standing(errors[0], task.limits.grave(*errors), located)

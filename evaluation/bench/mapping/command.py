@@ -14,7 +14,6 @@ Compared are, in the world, with the anchor's camera where it truly is:
   apart true points are. No poses are better than that.
 """
 
-import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from fleetpose.evaluation.bench.mapping.memory import Peak, peak_memory
 from fleetpose.evaluation.bench.mapping.truth import at_true_poses, true_cloud, world_from_fleet
 from fleetpose.evaluation.bench.offline.fleet import MOST_JOBS_PER_PAIR, remembering
 from fleetpose.evaluation.bench.offline.server import OfflineServer
+from fleetpose.evaluation.bench.pairs.worker import timed
 from fleetpose.evaluation.bench.working import bench_of
 from fleetpose.evaluation.data.opening import median_depth_m, open_recording
 from fleetpose.evaluation.data.parts import parts_of
@@ -50,10 +50,8 @@ def run(options: MapOptions, out: Path) -> dict[str, Any]:
     server = _put_together(recording, [part[0] for part in parts], options.workers)
     true = {name: recording.view(index) for name, index in server.views.items()}
     server.poses()  # which says who is located
-    start = time.perf_counter()
     with peak_memory() as peak:
-        scene = map_of(server.site, server.settings, options.voxel_m)
-    merge_ms = 1e3 * (time.perf_counter() - start)
+        scene, merge_ms = timed(lambda: map_of(server.site, server.settings, options.voxel_m))
     files.write(scene)
     summary = _summary(recording, server, true, scene.fleet_map)
     summary |= {

@@ -18,13 +18,7 @@ from fleetpose.evaluation.bench.pairs.worker import Answer, align, prepare_ms, t
 from fleetpose.evaluation.bench.working import Bench, bench_of
 from fleetpose.evaluation.data.opening import median_depth_m
 from fleetpose.evaluation.data.recording import Recording, TrueView, are_partners, shared_tracks
-from fleetpose.evaluation.metrics.geometry import inverse
-from fleetpose.evaluation.metrics.scoring import (
-    Limits,
-    optical_angle_deg,
-    position_error_m,
-    rotation_error_deg,
-)
+from fleetpose.evaluation.metrics.scoring import Limits, optical_angle_deg, pose_errors
 from fleetpose.evaluation.options.recorded import PairsOptions
 from fleetpose.evaluation.report.output import output_folder
 
@@ -90,13 +84,7 @@ def limited(
 
 def scored(i: TrueView, j: TrueView, answer: Answer, limits: Limits) -> PairRow:
     """An answer beside the truth."""
-    T_i_j_true = inverse(i.T_world_camera) @ j.T_world_camera
-    position = rotation = None
-    ok = grave = False
-    if answer.T_i_j is not None:
-        position = position_error_m(T_i_j_true, answer.T_i_j)
-        rotation = rotation_error_deg(T_i_j_true, answer.T_i_j)
-        ok, grave = limits.ok(position, rotation), limits.grave(position, rotation)
+    errors = None if answer.T_i_j is None else pose_errors(i.T_to(j), answer.T_i_j)
     return PairRow(
         i=i.index,
         j=j.index,
@@ -104,12 +92,12 @@ def scored(i: TrueView, j: TrueView, answer: Answer, limits: Limits) -> PairRow:
         align_ms=answer.align_ms,
         T_i_j=answer.T_i_j,
         covariance=answer.covariance,
-        T_i_j_true=T_i_j_true,
+        T_i_j_true=i.T_to(j),
         angle_deg=optical_angle_deg(i.T_world_camera, j.T_world_camera),
-        position_error_m=position,
-        rotation_error_deg=rotation,
-        ok=ok,
-        grave=grave,
+        position_error_m=errors and errors[0],
+        rotation_error_deg=errors and errors[1],
+        ok=errors is not None and limits.ok(*errors),
+        grave=errors is not None and limits.grave(*errors),
         start=answer.start,
         inliers=answer.inliers,
         reasons="; ".join(answer.reasons),

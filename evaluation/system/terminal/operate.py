@@ -11,7 +11,7 @@ from typing import Any
 
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 from fleetpose.evaluation.metrics.geometry import Floats, inverse
-from fleetpose.evaluation.metrics.scoring import position_error_m, rotation_error_deg
+from fleetpose.evaluation.metrics.scoring import pose_errors
 from fleetpose.evaluation.options.fleets import OperateOptions
 from fleetpose.evaluation.report.output import output_folder, write_summary
 from fleetpose.evaluation.system.fleet import (
@@ -178,8 +178,7 @@ def _judged(
         return nothing
     cameras = [one.view.camera.T_robot_camera for one in seen if one is not None]
     T_true: Floats = inverse(T_world[0] @ cameras[0]) @ (T_world[1] @ cameras[1])
-    off_m = position_error_m(T_true, alignment.T_i_j)
-    off_deg = rotation_error_deg(T_true, alignment.T_i_j)
+    off_m, off_deg = pose_errors(T_true, alignment.T_i_j)
     depth_m = plan.truth.median_depth_m(observer.newest_views())
     return {
         "verdict": alignment.verdict,

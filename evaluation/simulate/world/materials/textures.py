@@ -6,13 +6,14 @@ Lengths are in pixels. The same generator state gives the same texture to the la
 """
 
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 Texture = npt.NDArray[np.floating]
+Canvas = npt.NDArray[Any]
 Field = npt.NDArray[np.floating]
 Colour = tuple[float, float, float]
 Rng = np.random.Generator
@@ -34,7 +35,7 @@ def dot(image: Texture, at: Sequence[int], radius: int, colour: Sequence[float])
 
 
 def spot(
-    image: Texture, at: Sequence[int], axes: Sequence[int], turn: float, colour: Sequence[float]
+    image: Canvas, at: Sequence[int], axes: Sequence[int], turn: float, colour: Sequence[float]
 ) -> None:
     """Draws a filled ellipse, turned by so many degrees."""
     cv2.ellipse(image, at, axes, turn, 0, 360, colour, -1, cv2.LINE_AA)
