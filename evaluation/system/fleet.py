@@ -146,6 +146,8 @@ def plan_fleet(options: FleetOptions, scratch: Path) -> FleetPlan:
     rng = random.Random()
     robots = options.robots or USUAL_ROBOTS
     names = distinct_names(len(options.views) or robots, rng)
+    if options.world is not None and options.data:
+        raise FleetPoseError(f"--world {options.world} and --data: give one of them")
     recording = options.recording()
     if recording is None:
         if options.views:
@@ -153,8 +155,6 @@ def plan_fleet(options: FleetOptions, scratch: Path) -> FleetPlan:
         return plan_world(
             names, scratch, options.moving, options.seed, options.world, options.unique
         )
-    if options.world is not None:
-        raise FleetPoseError(f"--world {options.world} and --data: give one of them")
     parts = parts_of(recording, robots, options.first, options.views)
     folders = {
         name: strip(recording, part, scratch / name, rng)
