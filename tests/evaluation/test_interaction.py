@@ -239,7 +239,7 @@ def test_all_icp_counts_whichever_step_asks_for_it(cloud):
         if re.search(r"import .*\bgicp\b|small_gicp\.align\b", path.read_text())
     ]
     # it is timed where these two call it
-    assert sorted(users) == ["icp.py", "refining.py", "surfaces.py"]
+    assert sorted(users) == ["icp.py", "refinement.py", "surfaces.py"]
     one = dense_cloud(cloud, 0.1)
     for module in (refinement, surfaces):
         icp = module.gicp
