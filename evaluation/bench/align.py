@@ -23,13 +23,7 @@ from fleetpose.evaluation.data.recording import Recording, TrueView, shared_trac
 from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.evaluation.metrics.scoring import Limits, percentile, pose_errors, share
 from fleetpose.evaluation.options.recorded import AlignOptions
-from fleetpose.evaluation.report.output import (
-    output_folder,
-    print_table,
-    progress_bar,
-    write_csv,
-    write_summary,
-)
+from fleetpose.evaluation.report import output
 from fleetpose.protocol.errors import DataFolderError
 
 OURS = "fleetpose"
@@ -66,7 +60,7 @@ def run(options: AlignOptions, out: Path) -> dict[str, Any]:
         FleetPoseError: the data cannot be used, or the folder not made.
     """
     workers, recording = options.workers, options.recording()
-    output_folder(out)
+    output.output_folder(out)
     median_m = median_depth_m(recording)
     voxel_m = VOXEL_M if recording.is_rgbd else VOXEL_PER_DEPTH * median_m
     with (
@@ -74,7 +68,7 @@ def run(options: AlignOptions, out: Path) -> dict[str, Any]:
         ProcessPoolExecutor(workers, get_context("spawn"), use_one_thread) as ours,
         # Peers may use all cores, as they do out of the box.
         ProcessPoolExecutor(workers, get_context("spawn")) as theirs,
-        progress_bar() as progress,
+        output.progress_bar() as progress,
     ):
         bench = Bench(ours, workers, Path(folder), progress)
         pairs = limited(_alignable(recording, options.min_overlap, bench), options.limit)
@@ -102,7 +96,7 @@ def run(options: AlignOptions, out: Path) -> dict[str, Any]:
     rows = [
         score(name, truths, [answer[name] for answer in answers], bars) for name in (OURS, *peers)
     ]
-    write_csv(out / "align.csv", COLUMNS, rows)
+    output.write_csv(out / "align.csv", COLUMNS, rows)
     rgbd = recording.is_rgbd
     least = {"min_overlap": options.min_overlap} if rgbd else {"min_shared": MIN_SHARED}
     summary = {
@@ -118,7 +112,7 @@ def run(options: AlignOptions, out: Path) -> dict[str, Any]:
         "settings": {peer.name: peer.settings for peer in PEERS},
         "missing": missing,
     }
-    write_summary(out, summary)
+    output.write_summary(out, summary)
     _print(summary)
     return summary
 
@@ -159,7 +153,7 @@ def _alignable(
 
 
 def _print(summary: dict[str, Any]) -> None:
-    print_table(
+    output.print_table(
         f"pairs with at least {summary['min_overlap']:g} overlap"
         if "min_overlap" in summary
         else f"pairs with at least {summary['min_shared']} shared tracks",

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from fleetpose.evaluation.bench.clicks.truth import DEPTH_FOLDER
 from fleetpose.evaluation.bench.working import bench_of
+from fleetpose.evaluation.data.posed_views import camera_entry
 from fleetpose.evaluation.data.rgbd import DEPTH_UNIT_M
 from fleetpose.evaluation.metrics.geometry import Floats, inverse, transform
 from fleetpose.evaluation.options.fleets import SynthOptions
@@ -166,16 +167,9 @@ def _camera(k: int, frame: Frame, T_world_camera: Floats, on_ring: bool) -> dict
     T_camera_world = inverse(T_world_camera)
     x, y = T_world_camera[:2, 3]
     ring = {"ring_angle_deg": float(np.degrees(np.arctan2(y, x)) % 360.0)} if on_ring else {}
-    return {
-        "name": f"view{k:03d}.png",
-        "width": frame.model.width,
-        "height": frame.model.height,
-        "K": frame.model.K.tolist(),
-        "R_world_to_cam": T_camera_world[:3, :3].tolist(),
-        "t_world_to_cam": T_camera_world[:3, 3].tolist(),
-        "camera_center_world": T_world_camera[:3, 3].tolist(),
-        **ring,
-    }
+    size = (frame.model.width, frame.model.height)
+    entry = camera_entry(f"view{k:03d}.png", size, frame.model.K, T_camera_world)
+    return {**entry, "camera_center_world": T_world_camera[:3, 3].tolist(), **ring}
 
 
 def _dense(frame: Frame, rng: np.random.Generator) -> tuple[Floats, Floats]:

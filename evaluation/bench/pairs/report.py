@@ -22,19 +22,12 @@ from fleetpose.evaluation.metrics.scoring import (
     share,
     trimmed_nees_per_dof,
 )
-from fleetpose.evaluation.report.output import (
-    COVARIANCE_COLUMNS,
-    POSE_COLUMNS,
-    print_table,
-    scalars,
-    write_csv,
-    write_summary,
-)
+from fleetpose.evaluation.report import output
 
 ANGLE_BINS_DEG = ((0, 20), (20, 40), (40, 60), (60, 90), (90, 180))
 SUCCESS_BINS = ((0.1, 0.2), (0.2, 0.3), (0.3, 0.4), (0.4, 0.5), (0.5, 1.0))
 OVERLAP_BINS = ((0.0, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.5), (0.5, 1.0))
-_POSE = (*POSE_COLUMNS, *COVARIANCE_COLUMNS)
+_POSE = (*output.POSE_COLUMNS, *output.COVARIANCE_COLUMNS)
 POSE_FILE_COLUMNS = ("i", "j", "verdict", "align_ms", *_POSE, "p_grave")
 TRUTH_COLUMNS = ("shared", "overlap", "angle_deg", "position_error_m", "rotation_error_deg")
 EVIDENCE_FILE_COLUMNS = ("i", "j", "verdict", "ok", "grave", "start", *TRUTH_COLUMNS)
@@ -54,7 +47,7 @@ def write_results(
         "split": split_of(recording.directory),
         **summarize(rows, median_depth_m, view_ms, recording.is_rgbd),
     }
-    write_summary(out, summary)
+    output.write_summary(out, summary)
     plots = plot_all(out, rows, median_depth_m)
     write_html(out / "report.html", recording, rows, summary, plots)
     _print(summary, recording.is_rgbd)
@@ -64,10 +57,12 @@ def write_results(
 def write_tables(out: Path, rows: Sequence[PairRow]) -> None:
     """Writes poses.csv, and pairs.csv with the truth and remarks beside it."""
     cells = [row.cells() for row in rows]
-    write_csv(out / "poses.csv", POSE_FILE_COLUMNS, cells)
-    write_csv(out / "pairs.csv", (*POSE_FILE_COLUMNS, *TRUTH_COLUMNS, *REMARK_COLUMNS), cells)
+    output.write_csv(out / "poses.csv", POSE_FILE_COLUMNS, cells)
+    output.write_csv(
+        out / "pairs.csv", (*POSE_FILE_COLUMNS, *TRUTH_COLUMNS, *REMARK_COLUMNS), cells
+    )
     names = sorted({name for row in rows for name in row.evidence})
-    write_csv(
+    output.write_csv(
         out / "evidence.csv",
         (*EVIDENCE_FILE_COLUMNS, *names),
         [{**row.cells(), **row.evidence} for row in rows if row.evidence],
@@ -195,10 +190,10 @@ def _print(summary: dict[str, Any], rgbd: bool) -> None:
     bins = [list(b.items()) for b in summary[f"by_{what}"]]
     columns = [name for name, _ in bins[0][2:]]
     rows = [(f"{b[0][1]}-{b[1][1]}", *(value for _, value in b[2:])) for b in bins]
-    print_table(f"pairs by {what}", ("", *columns), rows)
-    print_table("summary", ("", ""), scalars(summary))
+    output.print_table(f"pairs by {what}", ("", *columns), rows)
+    output.print_table("summary", ("", ""), output.scalars(summary))
     names = ("share", "low", "high", "pairs")
-    print_table(
+    output.print_table(
         "shares, 95 % of bootstrap draws over views",
         ("", *names),
         [

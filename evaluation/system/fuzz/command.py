@@ -17,13 +17,7 @@ from typing import Any
 import zenoh
 
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
-from fleetpose.evaluation.report.output import (
-    output_folder,
-    print_table,
-    progress_bar,
-    scalars,
-    write_summary,
-)
+from fleetpose.evaluation.report import output
 from fleetpose.evaluation.system.faults.clicker import Clicker
 from fleetpose.evaluation.system.faults.desk import clickable
 from fleetpose.evaluation.system.fleet import FleetPlan, observed, plan_world, start, wait_started
@@ -100,7 +94,7 @@ def run(messages: int, out: Path, seed: int = 0) -> dict[str, Any]:
     """
     if messages < 1:
         raise FleetPoseError(f"--messages {messages}: give 1 or more")
-    logs = output_folder(out) / "logs"
+    logs = output.output_folder(out) / "logs"
     for old in (*logs.glob("*.log"), *logs.glob("*.jsonl")):
         old.unlink()
     with tempfile.TemporaryDirectory(prefix="fleetpose-") as scratch, LocalFleet(logs) as fleet:
@@ -108,9 +102,9 @@ def run(messages: int, out: Path, seed: int = 0) -> dict[str, Any]:
         fleet.close()
         summary["leftover_processes"] = fleet.leftover_processes()
     summary["crashed"] += len(_tracebacks(logs) - set(summary["ended"]))
-    write_summary(out, summary)
-    print_table("refused by kind", ("kind", "sent"), sorted(summary["by_kind"].items()))
-    print_table("fuzz", ("what", "value"), scalars(summary))
+    output.write_summary(out, summary)
+    output.print_table("refused by kind", ("kind", "sent"), sorted(summary["by_kind"].items()))
+    output.print_table("fuzz", ("what", "value"), output.scalars(summary))
     for sentence in summary["changes"][:10]:
         print(sentence[:300])
     return summary
@@ -226,7 +220,7 @@ def _fire(
     """Sends in batches; within one, no cloud key comes twice."""
     sent = Sent()
     shares = [target.share for target in targets]
-    with progress_bar() as progress:
+    with output.progress_bar() as progress:
         task = progress.add_task("messages", total=messages)
         while sent.messages < messages:
             used: set[str] = set()
