@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal, Self
 
 from fleetpose.evaluation.options.building import Text, numbers, told
 from fleetpose.evaluation.options.names import CloudKind, PlanName
+from fleetpose.evaluation.options.recorded import CLOUDS, SCALE
 
 if TYPE_CHECKING:
     from fleetpose.evaluation.data.recording import Recording
@@ -18,6 +19,8 @@ def _columns_and_rows(option: str, text: str) -> tuple[int, int]:
     return size_of(text)
 
 
+_FOOLS = "A place of alike parts that fools, instead of the town square."
+_UNIQUE = "Things in it that are like no other: posters, carts, statues."
 _SIZE = Text(_columns_and_rows, lambda size: f"{size[0]}x{size[1]}")
 
 
@@ -28,10 +31,8 @@ class SynthOptions:
     robots: int = told("On the ring 8 to 72: neighbours are 360/N deg apart.", ..., min=2)
     seed: int = told("Of textures, places and noise.", 0)
     workers: int = told("Processes.", 2, min=1)
-    plan: PlanName | None = told(
-        "A place of alike parts that fools, instead of the town square.", None, "--world"
-    )
-    unique: int = told("Things in it that are like no other: posters, carts, statues.", 0, min=0)
+    plan: PlanName | None = told(_FOOLS, None, "--world")
+    unique: int = told(_UNIQUE, 0, min=0)
 
 
 @dataclass(frozen=True)
@@ -48,8 +49,8 @@ class WorldOptions:
     moving: bool = told("The robots walk slowly.", False, "--moving")
     turning: tuple[str, ...] = told("A robot that looks to and fro; repeatable.", ())
     person: bool = told("Somebody walks before the second robot.", False, "--person")
-    plan: PlanName | None = told("A place of alike parts that fools, instead of the town square.")
-    unique: int = told("Things in it that are like no other: posters, carts, statues.", 0, min=0)
+    plan: PlanName | None = told(_FOOLS)
+    unique: int = told(_UNIQUE, 0, min=0)
 
     @property
     def moves(self) -> bool:
@@ -64,12 +65,8 @@ class _Sets:
     data: tuple[Path, ...] = told(
         "Recording; each fleet begins at another view of it. Repeatable.", ()
     )
-    clouds: CloudKind | None = told(
-        "Clouds of a posed-views folder; else the only ones, or sparse_noisy."
-    )
-    metres_per_unit: float | None = told(
-        "Scale of a reconstruction (COLMAP, Bundler, VisualSfM). [default: 1]"
-    )
+    clouds: CloudKind | None = told(CLOUDS)
+    metres_per_unit: float | None = told(SCALE)
 
     def in_metres(self) -> tuple[Path, ...]:
         """Their folders, those of reconstructions made by the scale that was told.
@@ -131,8 +128,8 @@ class FleetOptions(_Sets):
     )
     workers: int = told("Alignment processes.", 2, min=1)
     moving: bool = told("Synthetic robots walk.", False, "--moving")
-    world: PlanName | None = told("A place of alike parts that fools, instead of the town square.")
-    unique: int = told("Things in it that are like no other: posters, carts, statues.", 0, min=0)
+    world: PlanName | None = told(_FOOLS)
+    unique: int = told(_UNIQUE, 0, min=0)
     seed: int = told("Of the synthetic world and the operator.", 0)
     mistakes: float = told("Share of questions answered wrongly, as people do.", 0.0, min=0, max=1)
     recipe: Literal["full", "paper"] = told(
@@ -213,12 +210,8 @@ class OperateOptions:
     """What `pose-eval operate` is asked for."""
 
     data: Path | None = told("Recording; default: the synthetic world.")
-    clouds: CloudKind | None = told(
-        "Clouds of a posed-views folder; else the only ones, or sparse_noisy."
-    )
-    metres_per_unit: float | None = told(
-        "Scale of a reconstruction (COLMAP, Bundler, VisualSfM). [default: 1]"
-    )
+    clouds: CloudKind | None = told(CLOUDS)
+    metres_per_unit: float | None = told(SCALE)
     robots: int = told("The last one is kept apart.", 3, min=2)
     first: int = told("The first view.", 0, min=0)
     points: int = told("Points to click.", 3, min=1)

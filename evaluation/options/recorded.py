@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 
 Out = Annotated[Path, Option(help="Folder for the results; it is made.")]
+CLOUDS = "Clouds of a posed-views folder; else the only ones, or sparse_noisy."
+SCALE = "Scale of a reconstruction (COLMAP, Bundler, VisualSfM). [default: 1]"
 
 
 def _from_to(option: str, text: str) -> tuple[int, int]:
@@ -34,18 +36,14 @@ class PosedOptions:
     """A recording with ground truth."""
 
     data: Path = told("Posed-views or RGB-D folder with ground truth, or a reconstruction.", ...)
-    clouds: CloudKind | None = told(
-        "Clouds of a posed-views folder; else the only ones, or sparse_noisy."
-    )
+    clouds: CloudKind | None = told(CLOUDS)
 
 
 @dataclass(frozen=True)
 class RecordedOptions(PosedOptions):
     """The same, or a reconstruction whose scale is told."""
 
-    metres_per_unit: float | None = told(
-        "Scale of a reconstruction (COLMAP, Bundler, VisualSfM). [default: 1]"
-    )
+    metres_per_unit: float | None = told(SCALE)
 
     def recording(self) -> "Recording":
         """Opens it.
