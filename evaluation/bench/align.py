@@ -15,25 +15,15 @@ from typing import Any
 
 from fleetpose.evaluation.bench.align_worker import Timed, align_ours, align_peers, missing_peers
 from fleetpose.evaluation.bench.baselines import PEERS, VOXEL_M
-from fleetpose.evaluation.bench.pairs.command import as_done, limited, on_the_wire, pairs_of
+from fleetpose.evaluation.bench.pairs.command import limited, pairs_of
 from fleetpose.evaluation.bench.pairs.worker import true_overlap, use_one_thread
-from fleetpose.evaluation.data.opening import median_depth_m, open_recording
-from fleetpose.evaluation.data.recording import CloudKind, Recording, TrueView, shared_tracks
-from fleetpose.evaluation.metrics.geometry import Floats, inverse
-from fleetpose.evaluation.metrics.scoring import (
-    Limits,
-    percentile,
-    position_error_m,
-    rotation_error_deg,
-    share,
-)
-from fleetpose.evaluation.report.output import (
-    output_folder,
-    print_table,
-    progress_bar,
-    write_csv,
-    write_summary,
-)
+from fleetpose.evaluation.bench.working import Bench
+from fleetpose.evaluation.data.opening import median_depth_m
+from fleetpose.evaluation.data.recording import Recording, TrueView, shared_tracks
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.metrics.scoring import Limits, percentile, pose_errors, share
+from fleetpose.evaluation.options.recorded import AlignOptions
+from fleetpose.evaluation.report import output
 from fleetpose.protocol.errors import DataFolderError
 
 OURS = "fleetpose"
@@ -62,30 +52,15 @@ class Bars:
         return cls(limits.grave_m, limits.grave_deg, limits.ok_m, limits.ok_deg)
 
 
-def run(
-    data: Path,
-    clouds: CloudKind | None,
-    out: Path,
-    workers: int = 1,
-    limit: int | None = None,
-    min_overlap: float = 0.3,
-) -> dict[str, Any]:
+def run(options: AlignOptions, out: Path) -> dict[str, Any]:
     """Aligns pairs by every method that can be loaded; writes align.csv and summary.json; returns
     the summary.
-
-    Args:
-        data: a posed-views or RGB-D folder.
-        clouds: kind of clouds, for posed views.
-        out: folder for the results.
-        workers: pairs at a time; with more than one, they share the machine and times say less.
-        limit: take that many pairs only, chosen evenly.
-        min_overlap: RGB-D pairs that overlap less are left out; posed views need 30 shared tracks.
 
     Raises:
         FleetPoseError: the data cannot be used, or the folder not made.
     """
-    recording = open_recording(data, clouds)
-    output_folder(out)
+    workers, recording = options.workers, options.recording()
+    output.output_folder(out)
     median_m = median_depth_m(recording)
     voxel_m = VOXEL_M if recording.is_rgbd else VOXEL_PER_DEPTH * median_m
     with (
@@ -93,11 +68,12 @@ def run(
         ProcessPoolExecutor(workers, get_context("spawn"), use_one_thread) as ours,
         # Peers may use all cores, as they do out of the box.
         ProcessPoolExecutor(workers, get_context("spawn")) as theirs,
-        progress_bar() as progress,
+        output.progress_bar() as progress,
     ):
-        pairs = limited(_alignable(recording, min_overlap, ours, progress), limit)
+        bench = Bench(ours, workers, Path(folder), progress)
+        pairs = limited(_alignable(recording, options.min_overlap, bench), options.limit)
         views = {view.index: view for pair in pairs for view in pair}
-        wires, robot_ms = on_the_wire(recording, [*views.values()], Path(folder), ours, progress)
+        wires, robot_ms = bench.on_the_wire(recording, views.values())
         robot_ms_of = dict(zip(views, robot_ms, strict=True))
         missing = theirs.submit(missing_peers).result()
         for name, reason in missing.items():
@@ -116,16 +92,17 @@ def run(
         with ThreadPoolExecutor(workers) as at_once:
             answers = list(at_once.map(by_all, pairs))
     bars = Bars.of(median_m, recording.is_rgbd)
-    truths = [_T_i_j(i, j) for i, j in pairs]
+    truths = [i.T_to(j) for i, j in pairs]
     rows = [
         score(name, truths, [answer[name] for answer in answers], bars) for name in (OURS, *peers)
     ]
-    write_csv(out / "align.csv", COLUMNS, rows)
-    chosen = {"min_overlap": min_overlap} if recording.is_rgbd else {"min_shared": MIN_SHARED}
+    output.write_csv(out / "align.csv", COLUMNS, rows)
+    rgbd = recording.is_rgbd
+    least = {"min_overlap": options.min_overlap} if rgbd else {"min_shared": MIN_SHARED}
     summary = {
         "median_depth_m": median_m,
         "pairs": len(pairs),
-        **chosen,
+        **least,
         **asdict(bars),
         "voxel_m": voxel_m,
         "workers": workers,
@@ -135,7 +112,7 @@ def run(
         "settings": {peer.name: peer.settings for peer in PEERS},
         "missing": missing,
     }
-    write_summary(out, summary)
+    output.write_summary(out, summary)
     _print(summary)
     return summary
 
@@ -145,9 +122,7 @@ def score(
 ) -> dict[str, Any]:
     """A method's shares of all pairs, answered or not, and its median times."""
     errors = [
-        (position_error_m(truth, answer.T_i_j), rotation_error_deg(truth, answer.T_i_j))
-        if answer.T_i_j is not None
-        else (float("inf"), float("inf"))
+        (float("inf"), float("inf")) if answer.T_i_j is None else pose_errors(truth, answer.T_i_j)
         for truth, answer in zip(truths, answers, strict=True)
     ]
     return {
@@ -162,19 +137,14 @@ def score(
 
 
 def _alignable(
-    recording: Recording, min_overlap: float, pool: ProcessPoolExecutor, progress: Any
+    recording: Recording, min_overlap: float, bench: Bench
 ) -> list[tuple[TrueView, TrueView]]:
     """The pairs that see enough of the same: by overlap (RGB-D), or by shared tracks."""
     pairs = pairs_of(recording)
     if recording.is_rgbd:
-        task = progress.add_task("overlap", total=len(pairs))
-        jobs = ((n, (true_overlap, i, j, _T_i_j(i, j))) for n, (i, j) in enumerate(pairs))
-        enough = set()
-        for n, overlap in as_done(pool, jobs, in_flight=8):
-            if overlap >= min_overlap:
-                enough.add(n)
-            progress.advance(task)
-        chosen = [pair for n, pair in enumerate(pairs) if n in enough]
+        jobs = [(n, (true_overlap, i, j, i.T_to(j))) for n, (i, j) in enumerate(pairs)]
+        overlaps = dict(bench.as_done("overlap", jobs, in_flight=8))
+        chosen = [pair for n, pair in enumerate(pairs) if overlaps[n] >= min_overlap]
     else:
         chosen = [p for p in pairs if (shared_tracks(recording, *p) or 0) >= MIN_SHARED]
     if not chosen:
@@ -182,13 +152,8 @@ def _alignable(
     return chosen
 
 
-def _T_i_j(i: TrueView, j: TrueView) -> Floats:
-    """The truth."""
-    return inverse(i.T_world_camera) @ j.T_world_camera
-
-
 def _print(summary: dict[str, Any]) -> None:
-    print_table(
+    output.print_table(
         f"pairs with at least {summary['min_overlap']:g} overlap"
         if "min_overlap" in summary
         else f"pairs with at least {summary['min_shared']} shared tracks",

@@ -121,26 +121,16 @@ def _with_normals(points: Floats) -> Any:
 
 def _point_to_plane(i: Any, j: Any, T_i_j: Floats) -> Floats:
     registration = _open3d().pipelines.registration
-    found = registration.registration_icp(
-        j,
-        i,
-        ICP_DISTANCE_M,
-        T_i_j,
-        registration.TransformationEstimationPointToPlane(),
-        registration.ICPConvergenceCriteria(max_iteration=ICP_ITERATIONS),
-    )
+    plane = registration.TransformationEstimationPointToPlane()
+    until = registration.ICPConvergenceCriteria(max_iteration=ICP_ITERATIONS)
+    found = registration.registration_icp(j, i, ICP_DISTANCE_M, T_i_j, plane, until)
     return np.array(found.transformation)
 
 
-def ransac_icp(i: Open3dView, j: Open3dView) -> Floats:
-    """RANSAC on mutual FPFH matches, then point-to-plane ICP."""
+def _ransac_settings() -> tuple[Any, ...]:
+    """What both of Open3D's RANSACs take last."""
     registration = _open3d().pipelines.registration
-    found = registration.registration_ransac_based_on_feature_matching(
-        j.cloud,
-        i.cloud,
-        j.features,
-        i.features,
-        True,
+    return (
         RANSAC_DISTANCE_M,
         registration.TransformationEstimationPointToPoint(False),
         RANSAC_POINTS,
@@ -150,18 +140,22 @@ def ransac_icp(i: Open3dView, j: Open3dView) -> Floats:
         ],
         registration.RANSACConvergenceCriteria(RANSAC_ITERATIONS, RANSAC_CONFIDENCE),
     )
+
+
+def ransac_icp(i: Open3dView, j: Open3dView) -> Floats:
+    """RANSAC on mutual FPFH matches, then point-to-plane ICP."""
+    ransac = _open3d().pipelines.registration.registration_ransac_based_on_feature_matching
+    found = ransac(j.cloud, i.cloud, j.features, i.features, True, *_ransac_settings())
     return _point_to_plane(i.whole, j.whole, found.transformation)
 
 
 def fgr_icp(i: Open3dView, j: Open3dView) -> Floats:
     """Fast Global Registration (Zhou et al. 2016), then point-to-plane ICP."""
     registration = _open3d().pipelines.registration
+    option = registration.FastGlobalRegistrationOption
     found = registration.registration_fgr_based_on_feature_matching(
-        j.cloud,
-        i.cloud,
-        j.features,
-        i.features,
-        registration.FastGlobalRegistrationOption(maximum_correspondence_distance=FGR_DISTANCE_M),
+        *(j.cloud, i.cloud, j.features, i.features),
+        option(maximum_correspondence_distance=FGR_DISTANCE_M),
     )
     return _point_to_plane(i.whole, j.whole, found.transformation)
 
@@ -209,23 +203,12 @@ def sift_ransac_icp(i: SiftView, j: SiftView) -> Floats:
     matches = _ratio_matches(j.descriptors, i.descriptors)
     start = np.eye(4)
     if len(matches) >= RANSAC_POINTS:
-        registration = o3d.pipelines.registration
         at_j, at_i = (
             o3d.geometry.PointCloud(o3d.utility.Vector3dVector(view.places)) for view in (j, i)
         )
-        start = registration.registration_ransac_based_on_correspondence(
-            at_j,
-            at_i,
-            o3d.utility.Vector2iVector(matches),
-            RANSAC_DISTANCE_M,
-            registration.TransformationEstimationPointToPoint(False),
-            RANSAC_POINTS,
-            [
-                registration.CorrespondenceCheckerBasedOnEdgeLength(EDGE_LENGTH_RATIO),
-                registration.CorrespondenceCheckerBasedOnDistance(RANSAC_DISTANCE_M),
-            ],
-            registration.RANSACConvergenceCriteria(RANSAC_ITERATIONS, RANSAC_CONFIDENCE),
-        ).transformation
+        pairs = o3d.utility.Vector2iVector(matches)
+        ransac = o3d.pipelines.registration.registration_ransac_based_on_correspondence
+        start = ransac(at_j, at_i, pairs, *_ransac_settings()).transformation
     return _point_to_plane(i.cloud, j.cloud, start)
 
 
@@ -284,70 +267,35 @@ def kiss_gicp(i: KissView, j: KissView) -> Floats:
     return np.array(refined.T_target_source)
 
 
-_FPFH_SETTINGS = {
+_FPFH = {
     "voxel_m": VOXEL_M,
     "normal_radius_m": NORMAL_RADIUS_M,
     "normal_neighbours": NORMAL_NEIGHBOURS,
     "fpfh_radius_m": FEATURE_RADIUS_M,
     "fpfh_neighbours": FEATURE_NEIGHBOURS,
 }
-_ICP_SETTINGS = {
-    "of": "the clouds as they came",
-    "distance_m": ICP_DISTANCE_M,
-    "iterations": ICP_ITERATIONS,
-}
-_RANSAC_SETTINGS = {
+_OF = {"of": "the clouds as they came"}
+_ICP = {"point_to_plane_icp": _OF | {"distance_m": ICP_DISTANCE_M, "iterations": ICP_ITERATIONS}}
+_RANSAC = {
     "distance_m": RANSAC_DISTANCE_M,
     "points": RANSAC_POINTS,
     "edge_length_ratio": EDGE_LENGTH_RATIO,
     "iterations": RANSAC_ITERATIONS,
     "confidence": RANSAC_CONFIDENCE,
 }
+_SIFT = {"sift": "OpenCV's defaults", "ratio": MATCH_RATIO, "depth_within_px": DEPTH_WITHIN_PX}
+_KISS = {
+    "voxel_m": VOXEL_M,
+    "kiss_matcher": "defaults for this voxel, from points at half of it",
+    "gicp": {"distance_m": GICP_DISTANCE_M, "iterations": ICP_ITERATIONS},
+}
+_BY_SIFT = _SIFT | {"ransac": _RANSAC} | _ICP
+_BY_RANSAC = _FPFH | {"ransac": {"mutual": True, **_RANSAC}} | _ICP
+_BY_FGR = _FPFH | {"fgr": {"distance_m": FGR_DISTANCE_M}} | _ICP
 
 PEERS = (
-    Peer(
-        "sift_ransac_icp",
-        sift_view,
-        sift_ransac_icp,
-        {
-            "sift": "OpenCV's defaults",
-            "ratio": MATCH_RATIO,
-            "depth_within_px": DEPTH_WITHIN_PX,
-            "ransac": _RANSAC_SETTINGS,
-            "point_to_plane_icp": _ICP_SETTINGS,
-        },
-        _open3d,
-    ),
-    Peer(
-        "open3d_ransac_icp",
-        open3d_view,
-        ransac_icp,
-        {
-            **_FPFH_SETTINGS,
-            "ransac": {"mutual": True, **_RANSAC_SETTINGS},
-            "point_to_plane_icp": _ICP_SETTINGS,
-        },
-        _open3d,
-    ),
-    Peer(
-        "open3d_fgr_icp",
-        open3d_view,
-        fgr_icp,
-        {
-            **_FPFH_SETTINGS,
-            "fgr": {"distance_m": FGR_DISTANCE_M},
-            "point_to_plane_icp": _ICP_SETTINGS,
-        },
-        _open3d,
-    ),
-    Peer(
-        "kiss_gicp",
-        kiss_view,
-        kiss_gicp,
-        {
-            "voxel_m": VOXEL_M,
-            "kiss_matcher": "defaults for this voxel, from points at half of it",
-            "gicp": {"distance_m": GICP_DISTANCE_M, "iterations": ICP_ITERATIONS},
-        },
-    ),
+    Peer("sift_ransac_icp", sift_view, sift_ransac_icp, _BY_SIFT, _open3d),
+    Peer("open3d_ransac_icp", open3d_view, ransac_icp, _BY_RANSAC, _open3d),
+    Peer("open3d_fgr_icp", open3d_view, fgr_icp, _BY_FGR, _open3d),
+    Peer("kiss_gicp", kiss_view, kiss_gicp, _KISS),
 )

@@ -10,15 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from fleetpose.evaluation.bench.pairs.worker import timed
 from fleetpose.evaluation.metrics.geometry import Floats, inverse
 from fleetpose.evaluation.metrics.scoring import percentile
-from fleetpose.evaluation.report.output import (
-    new_figure,
-    output_folder,
-    print_table,
-    progress_bar,
-    write_summary,
-)
+from fleetpose.evaluation.options.recorded import SolveOptions
+from fleetpose.evaluation.report.output import output_folder, plot, progress_bar, write_summary
 from fleetpose.pose_server.geometry.se3 import adjoint, exp_so3, make_pose
 from fleetpose.pose_server.pose_graph.graph import solve_fleet
 from fleetpose.pose_server.pose_graph.types import Edge, FleetSolution, SolveSettings
@@ -43,19 +39,18 @@ class MadeUp:
     wrong: frozenset[int]
 
 
-def run(robots: int, edges: int, wrong_share: float, out: Path, seed: int = 0) -> dict[str, Any]:
+def run(options: SolveOptions, out: Path) -> dict[str, Any]:
     """Solves a made-up fleet; writes summary.json and map.png.
 
     Raises:
         FleetPoseError: there are too few or too many edges for the robots.
     """
+    robots, edges = options.robots, options.edges
     if not robots - 1 <= edges <= robots * min(NEAR, robots - 1) // 2:
         most = robots * min(NEAR, robots - 1) // 2
         raise FleetPoseError(f"--edges {edges}: {robots} robots have from {robots - 1} to {most}")
-    fleet = make_up(robots, edges, wrong_share, np.random.default_rng(seed))
-    began = time.perf_counter()
-    _solved(fleet, range(edges), None)
-    scratch_ms = 1e3 * (time.perf_counter() - began)
+    fleet = make_up(robots, edges, options.wrong, np.random.default_rng(options.seed))
+    _, scratch_ms = timed(lambda: _solved(fleet, range(edges), None))
     first = max(int(AT_FIRST * edges), 1)
     solution = _solved(fleet, range(first), None)
     updates_ms = []
@@ -71,7 +66,7 @@ def run(robots: int, edges: int, wrong_share: float, out: Path, seed: int = 0) -
         "robots": robots,
         "edges": edges,
         "wrong": len(fleet.wrong),
-        "seed": seed,
+        "seed": options.seed,
         "update_ms_p50": percentile(updates_ms, 50),
         "update_ms_p95": percentile(updates_ms, 95),
         "update_ms_max": max(updates_ms),
@@ -83,8 +78,7 @@ def run(robots: int, edges: int, wrong_share: float, out: Path, seed: int = 0) -
         "right_refused": len(found - fleet.wrong),
         "located": len(located(fleet, solution)),
     }
-    write_summary(output_folder(out), summary)
-    print_table("solve", ("", ""), summary.items())
+    write_summary(output_folder(out), summary, "solve")
     return summary
 
 
@@ -160,9 +154,8 @@ def run_recorded(path: Path, out: Path) -> dict[str, Any]:
         "solve_s": solved - loaded,
         "chi2_per_dof_median": float(np.median([j.distance2 / 6 for j in judged if j.weight])),
     }
-    write_summary(output_folder(out), summary)
+    write_summary(output_folder(out), summary, "solve")
     _plot(out / "map.png", solution, nodes)
-    print_table("solve", ("", ""), summary.items())
     return summary
 
 
@@ -250,13 +243,11 @@ def _near_pairs(places: Floats, rng: np.random.Generator) -> list[tuple[int, int
 
 
 def _plot(path: Path, solution: FleetSolution, nodes: Sequence[ViewName]) -> None:
-    figure, axes = new_figure(7.0, 7.0)
     places = np.array([solution.nodes[node].T_root_camera[:3, 3] for node in nodes])
     plane = np.linalg.svd(places - places.mean(0), full_matrices=False)[2][:2]
     xy = (places - places.mean(0)) @ plane.T
-    for robot in sorted({node.robot for node in nodes}):
-        own = [k for k, node in enumerate(nodes) if node.robot == robot]
-        axes.plot(*xy[own].T, "-", linewidth=1, label=robot)
-    axes.set(title="solved pose graph", xlabel="m", ylabel="m", aspect="equal")
-    axes.legend()
-    figure.savefig(path)
+    with plot(path, (7.0, 7.0), title="solved pose graph", xlabel="m", aspect="equal") as axes:
+        axes.set(ylabel="m")
+        for robot in sorted({node.robot for node in nodes}):
+            own = [k for k, node in enumerate(nodes) if node.robot == robot]
+            axes.plot(*xy[own].T, "-", linewidth=1, label=robot)

@@ -17,10 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from fleetpose.evaluation.bench.clicks.truth import DEPTH_FOLDER
-from fleetpose.evaluation.bench.working import as_done, worker_pool
+from fleetpose.evaluation.bench.working import bench_of
+from fleetpose.evaluation.data.posed_views import camera_entry
 from fleetpose.evaluation.data.rgbd import DEPTH_UNIT_M
 from fleetpose.evaluation.metrics.geometry import Floats, inverse, transform
-from fleetpose.evaluation.report.output import output_folder, progress_bar
+from fleetpose.evaluation.options.fleets import SynthOptions
+from fleetpose.evaluation.report.output import output_folder
 from fleetpose.evaluation.simulate.world import PLANS, PlanWorld, RingWorld, World
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.robot_agent.cameras.base import DisparityImage, Frame
@@ -30,6 +32,7 @@ DENSE_POINTS = 20_000
 NOISY_PIXEL_SIGMA_PX = 0.7
 NOISY_DISPARITY_SIGMA_PX = 0.5
 NOISY_BASELINE_SHARE = 0.05
+_STEREO_FOLDERS = {"dense": "stereo_dense", "sparse": "stereo_pair_sparse"}
 _RING_ROBOTS = (8, 72)
 _FARTHEST_M = 65.0
 _CORNERS_IN_ALL, _CORNERS_PER_VIEW = 24_000, (300, 2500)
@@ -59,51 +62,6 @@ stereo_pair_sparse/: SIFT matches between the same two eyes, on a row to {row_px
 
 
 @dataclass(frozen=True)
-class SynthOptions:
-    """What `pose-eval synth` is asked for.
-
-    Attributes:
-        robots: how many.
-        seed: of textures, unique things, places and noise.
-        plan: one that fools; without one the town square with a regular ring.
-        unique: how many unique things stand about in a plan.
-    """
-
-    robots: int
-    seed: int = 0
-    plan: str | None = None
-    unique: int = 0
-
-    def check(self) -> None:
-        """Says early what cannot be.
-
-        Raises:
-            FleetPoseError: this cannot.
-        """
-        if self.plan is not None and self.plan not in PLANS:
-            raise FleetPoseError(f"--world {self.plan}: there are {', '.join(sorted(PLANS))}")
-        if self.plan is None and self.unique:
-            raise FleetPoseError(f"--unique {self.unique}: name a plan with --world")
-        if self.plan is None and not _RING_ROBOTS[0] <= self.robots <= _RING_ROBOTS[1]:
-            raise FleetPoseError(
-                f"--robots {self.robots}: a ring has {_RING_ROBOTS[0]} to {_RING_ROBOTS[1]}"
-            )
-
-    def world(self) -> World:
-        """The world and its robots."""
-        if self.plan is not None:
-            return PlanWorld(self.plan, self.robots, self.unique, self.seed)
-        return RingWorld(self.robots, 360.0 / self.robots, seed=self.seed)
-
-    def source(self, radius_m: float) -> str:
-        """How the views were made, in words."""
-        if self.plan is not None:
-            return _PLAN.format(**asdict(self))
-        separation_deg = 360.0 / self.robots
-        return _RING.format(**asdict(self), radius_m=radius_m, separation_deg=separation_deg)
-
-
-@dataclass(frozen=True)
 class _Seen:
     """What the first look at a view leaves for the second: its camera and points on surfaces.
 
@@ -119,7 +77,7 @@ class _Seen:
     baseline_m: float
 
 
-def run(out: Path, options: SynthOptions, workers: int = 2) -> None:
+def run(options: SynthOptions, out: Path) -> None:
     """Writes the folder.
 
     Raises:
@@ -127,35 +85,36 @@ def run(out: Path, options: SynthOptions, workers: int = 2) -> None:
     """
     if (out / "cameras.json").exists():
         raise FleetPoseError(f"--out {out} holds posed views already; name a new folder")
-    options.check()
-    robots = options.robots
-    for kind in (
-        "images",
-        DEPTH_FOLDER,
-        "sparse",
-        "sparse_noisy",
-        "stereo_dense",
-        "stereo_pair_sparse",
-    ):
+    check(options)
+    robots = range(options.robots)
+    for kind in ("images", DEPTH_FOLDER, "sparse", "sparse_noisy", *_STEREO_FOLDERS.values()):
         output_folder(out / kind)
-    with worker_pool(workers) as pool, progress_bar() as progress:
-        bar = progress.add_task("views", total=2 * robots)
-        seen: dict[int, _Seen] = {}
-        jobs = [(k, (_look, out, options, k)) for k in range(robots)]
-        for k, one in as_done(pool, jobs, in_flight=2 * workers):
-            seen[k] = one
-            progress.advance(bar)
-        world_points = np.concatenate([seen[k].corners for k in range(robots)])
-        visible: dict[int, npt.NDArray[np.int64]] = {}
-        jobs = [(k, (_visible_from, options, k, world_points)) for k in range(robots)]
-        for k, ids in as_done(pool, jobs, in_flight=2 * workers):
-            visible[k] = ids
-            progress.advance(bar)
+    with bench_of(options.workers) as bench:
+        jobs = [(k, (_look, out, options, k)) for k in robots]
+        seen: dict[int, _Seen] = bench.by_label("views", jobs)
+        world_points = np.concatenate([seen[k].corners for k in robots])
+        jobs = [(k, (_visible_from, options, k, world_points)) for k in robots]
+        visible: dict[int, npt.NDArray[np.int64]] = bench.by_label("points", jobs)
     lengths = np.bincount(np.concatenate(list(visible.values())), minlength=len(world_points))
-    for k in range(robots):
+    for k in robots:
         ids = visible[k][lengths[visible[k]] >= 2]
         _write_tracks(out, seen[k].camera, ids, world_points[ids], lengths[ids], (options.seed, k))
-    _write_cameras(out, [seen[k] for k in range(robots)], options)
+    _write_cameras(out, [seen[k] for k in robots], options)
+
+
+def check(options: SynthOptions) -> None:
+    """Says early what cannot be.
+
+    Raises:
+        FleetPoseError: this cannot.
+    """
+    few, many = _RING_ROBOTS
+    if options.plan is not None and options.plan not in PLANS:
+        raise FleetPoseError(f"--world {options.plan}: there are {', '.join(sorted(PLANS))}")
+    if options.plan is None and options.unique:
+        raise FleetPoseError(f"--unique {options.unique}: name a plan with --world")
+    if options.plan is None and not few <= options.robots <= many:
+        raise FleetPoseError(f"--robots {options.robots}: a ring has {few} to {many}")
 
 
 def _look(out: Path, options: SynthOptions, k: int) -> _Seen:
@@ -196,7 +155,11 @@ def _visible_from(options: SynthOptions, k: int, points: Floats) -> npt.NDArray[
 
 @lru_cache(maxsize=1)
 def _world(options: SynthOptions) -> tuple[World, StereoMatcher]:
-    world = options.world()
+    world = (
+        RingWorld(options.robots, 360.0 / options.robots, seed=options.seed)
+        if options.plan is None
+        else PlanWorld(options.plan, options.robots, options.unique, options.seed)
+    )
     return world, StereoMatcher(world.rig)
 
 
@@ -204,16 +167,9 @@ def _camera(k: int, frame: Frame, T_world_camera: Floats, on_ring: bool) -> dict
     T_camera_world = inverse(T_world_camera)
     x, y = T_world_camera[:2, 3]
     ring = {"ring_angle_deg": float(np.degrees(np.arctan2(y, x)) % 360.0)} if on_ring else {}
-    return {
-        "name": f"view{k:03d}.png",
-        "width": frame.model.width,
-        "height": frame.model.height,
-        "K": frame.model.K.tolist(),
-        "R_world_to_cam": T_camera_world[:3, :3].tolist(),
-        "t_world_to_cam": T_camera_world[:3, 3].tolist(),
-        "camera_center_world": T_world_camera[:3, 3].tolist(),
-        **ring,
-    }
+    size = (frame.model.width, frame.model.height)
+    entry = camera_entry(f"view{k:03d}.png", size, frame.model.K, T_camera_world)
+    return {**entry, "camera_center_world": T_world_camera[:3, 3].tolist(), **ring}
 
 
 def _dense(frame: Frame, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -317,7 +273,7 @@ def _write_cloud(
 
 def _write_cameras(out: Path, seen: Sequence[_Seen], options: SynthOptions) -> None:
     """The stereo clouds' index files, the source, and last of all the list of cameras."""
-    for kind in ("dense", "sparse"):
+    for kind, folder in _STEREO_FOLDERS.items():
         index = {
             one.camera["name"]: {
                 "partner": None,
@@ -326,7 +282,6 @@ def _write_cameras(out: Path, seen: Sequence[_Seen], options: SynthOptions) -> N
             }
             for one in seen
         }
-        folder = "stereo_dense" if kind == "dense" else "stereo_pair_sparse"
         (out / folder / "index.json").write_text(json.dumps(index, indent=1) + "\n")
     text = _SOURCE.format(
         pixel_px=NOISY_PIXEL_SIGMA_PX,
@@ -336,8 +291,10 @@ def _write_cameras(out: Path, seen: Sequence[_Seen], options: SynthOptions) -> N
         row_px=_MATCH_ROW_PX,
         ratio=_MATCH_RATIO,
     )
+    made = _RING if options.plan is None else _PLAN
     radius_m = float(np.hypot(*seen[0].camera["camera_center_world"][:2]))
-    (out / "SOURCE.txt").write_text(options.source(radius_m) + text)
+    ring = {"radius_m": radius_m, "separation_deg": 360.0 / options.robots}
+    (out / "SOURCE.txt").write_text(made.format(**asdict(options), **ring) + text)
     convention = "x_cam = R X_world + t; OpenCV axes; pixel = K x_cam / z; metres"
     cameras = {"convention": convention, "cameras": [one.camera for one in seen]}
     (out / "cameras.json").write_text(json.dumps(cameras, indent=1) + "\n")

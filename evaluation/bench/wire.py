@@ -11,17 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from fleetpose.evaluation.data.anonymize import noise_model
-from fleetpose.evaluation.data.opening import open_recording, points_of
-from fleetpose.evaluation.data.recording import CloudKind, Recording, TrueView
+from fleetpose.evaluation.data.opening import points_of
+from fleetpose.evaluation.data.recording import Recording, TrueView
 from fleetpose.evaluation.data.rgbd import DEPTH_UNIT_M, read_depth
 from fleetpose.evaluation.metrics.geometry import Floats
-from fleetpose.evaluation.report.output import (
-    output_folder,
-    print_table,
-    progress_bar,
-    write_csv,
-    write_summary,
-)
+from fleetpose.evaluation.options.recorded import WireOptions
+from fleetpose.evaluation.report import output
 from fleetpose.protocol import clouds, codec
 from fleetpose.protocol.messages import (
     ROBOT_FROM_CAMERA,
@@ -79,7 +74,7 @@ class Row:
     decode_ms: float
 
 
-def run(data: Path, kind: CloudKind | None, out: Path, limit: int = 10) -> dict[str, Any]:
+def run(options: WireOptions, out: Path) -> dict[str, Any]:
     """Measures on views spread evenly over a recording; returns the summary.
 
     Raises:
@@ -88,14 +83,14 @@ def run(data: Path, kind: CloudKind | None, out: Path, limit: int = 10) -> dict[
     import cv2
 
     cv2.setNumThreads(1)
-    recording = open_recording(data, kind)
-    output_folder(out)
+    recording = options.recording()
+    output.output_folder(out)
     usable = recording.usable
-    chosen = np.unique(np.linspace(0, len(usable) - 1, min(limit, len(usable))).astype(int))
+    chosen = np.unique(np.linspace(0, len(usable) - 1, min(options.views, len(usable))).astype(int))
     codecs = codecs_of(recording)
     rows: dict[str, list[Row]] = {name: [] for name in codecs}
     sizes: dict[int, list[tuple[int, int]]] = {SALIENT_POINTS: [], default_salient(): []}
-    with progress_bar() as progress:
+    with output.progress_bar() as progress:
         for index in progress.track(chosen, description="views"):
             seen = seen_of(recording, usable[index])
             for name, one in codecs.items():
@@ -103,7 +98,7 @@ def run(data: Path, kind: CloudKind | None, out: Path, limit: int = 10) -> dict[
             for count, found in sizes.items():
                 found.append(view_size(seen, count))
     table = [{"codec": name, **_mean(found)} for name, found in rows.items()]
-    write_csv(out / "wire.csv", COLUMNS, table)
+    output.write_csv(out / "wire.csv", COLUMNS, table)
     summary = {
         "views": len(chosen),
         "points_mean": float(np.mean([len(seen_of(recording, usable[i]).xyz) for i in chosen])),
@@ -113,10 +108,10 @@ def run(data: Path, kind: CloudKind | None, out: Path, limit: int = 10) -> dict[
         **_view_summary("_default", default_salient(), sizes[default_salient()]),
         "not_measured": [] if "draco" in codecs else ["draco: DracoPy is not installed"],
     }
-    write_summary(out, summary)
-    print_table("wire", COLUMNS, ([row[k] for k in COLUMNS] for row in table))
+    output.write_summary(out, summary)
+    output.print_table("wire", COLUMNS, ([row[k] for k in COLUMNS] for row in table))
     flat = ((k, v) for k, v in summary.items() if k != "codecs")
-    print_table("views", ("what", "value"), flat)
+    output.print_table("views", ("what", "value"), flat)
     return summary
 
 

@@ -1,67 +1,27 @@
 """Commands that run live processes."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
-from fleetpose.evaluation.cli.options import (
-    Clouds,
-    MetresPerUnit,
-    Mistakes,
-    Out,
-    Unique,
-    World,
-    numbers,
-    only_one,
-    refuse_offline,
+from fleetpose.evaluation.options.building import of
+from fleetpose.evaluation.options.fleets import (
+    FaultOptions,
+    FleetOptions,
+    HmiOptions,
+    OperateOptions,
+    RestartsOptions,
+    WorldOptions,
 )
+from fleetpose.evaluation.options.recorded import Out
 
 app = typer.Typer()
 
 
 @app.command()
-def fleet(
-    out: Out,
-    robots: Annotated[
-        int | None, typer.Option(min=2, help="How many. [default: 6; offline 4 to 12 by chance]")
-    ] = None,
-    seconds: Annotated[float, typer.Option(help="After all processes are up; more than 20.")] = 60,
-    data: Annotated[
-        list[Path] | None,
-        typer.Option(help="Recording with ground truth; else the synthetic world. Offline: any."),
-    ] = None,
-    clouds: Clouds = None,
-    metres_per_unit: MetresPerUnit = None,
-    views: Annotated[
-        str, typer.Option(help="A,B,C: one robot stands at each of these views of a recording.")
-    ] = "",
-    offline: Annotated[
-        bool, typer.Option("--offline", help="Without network and clicks: many drawn fleets.")
-    ] = False,
-    seeds: Annotated[int, typer.Option(min=1, help="Offline: fleets of each recording.")] = 20,
-    first: Annotated[int, typer.Option(help="Posed views: the first of consecutive views.")] = 0,
-    skip_pairs: Annotated[
-        Path | None, typer.Option(help="Lines 'r1 r2': pairs left to the operator.")
-    ] = None,
-    cluster: Annotated[
-        str | None, typer.Option(help="Dask scheduler that the server aligns on.")
-    ] = None,
-    clicks_per_minute: Annotated[float, typer.Option(min=0, help="Simulated operator.")] = 0.0,
-    clicks_on_skipped: Annotated[
-        int, typer.Option(min=0, help="The operator clicks so many points on each skipped pair.")
-    ] = 0,
-    workers: Annotated[int, typer.Option(min=1, help="Alignment processes.")] = 2,
-    moving: Annotated[bool, typer.Option("--moving", help="Synthetic robots walk.")] = False,
-    world: World = None,
-    unique: Unique = 0,
-    seed: Annotated[int, typer.Option(help="Of the synthetic world and the operator.")] = 0,
-    mistakes: Mistakes = 0.0,
-    recipe: Annotated[
-        Literal["full", "paper"],
-        typer.Option(help="Of the server; paper: the method as published, which judges nothing."),
-    ] = "full",
-) -> None:
+@of(FleetOptions)
+def fleet(options: FleetOptions, out: Out) -> None:
     """Run a live fleet on a recording or in the synthetic world and score its poses.
 
     With --offline: for each recording (--data, repeatable) and seed, robots at views drawn from
@@ -69,71 +29,20 @@ def fleet(
     until nothing is left to align. Prints a line for each recording, the worst first, and every
     robot that is located and gravely off; writes summary.json and robots.csv.
     """
-    from fleetpose.evaluation.data.reconstructed import all_in_metres
-
-    sets = all_in_metres(data or (), metres_per_unit)
-    kind = clouds.value if clouds else None
-    named = tuple(numbers("--views", views)) if views else ()
-    if offline:
+    if options.offline:
         from fleetpose.evaluation.bench.offline import command
 
-        refuse_offline(
-            {
-                "--recipe paper": recipe != "full",
-                "--world": world is not None,
-                "--clicks-per-minute": clicks_per_minute > 0,
-                "--clicks-on-skipped": clicks_on_skipped > 0,
-                "--skip-pairs": skip_pairs is not None,
-                "--mistakes": mistakes > 0,
-                "--cluster": cluster is not None,
-                "--moving": moving,
-            }
-        )
-        drawn = command.OfflineOptions(sets, kind, seeds, robots, named, workers)
-        command.run(drawn, out)
+        options.refuse_offline()
+        command.run(options, out)
         return
-    from fleetpose.evaluation.system.fleet import FleetOptions, run
+    from fleetpose.evaluation.system.fleet import run
 
-    options = FleetOptions(
-        robots=robots or 6,
-        seconds=seconds,
-        data=only_one("--data", sets),
-        clouds=kind,
-        views=named,
-        first=first,
-        skip_pairs=skip_pairs,
-        cluster=cluster,
-        clicks_per_minute=clicks_per_minute,
-        clicks_on_skipped=clicks_on_skipped,
-        workers=workers,
-        moving=moving,
-        seed=seed,
-        world=world.value if world else None,
-        unique=unique,
-        mistakes=mistakes,
-        recipe=recipe,
-    )
     run(options, out)
 
 
 @app.command()
-def restarts(
-    out: Out,
-    restarts: Annotated[int, typer.Option(min=1, help="How many fleets, one by one.")] = 30,
-    robots: Annotated[int, typer.Option(min=2, help="In each.")] = 8,
-    seconds: Annotated[float, typer.Option(min=1, help="From its start to its poses.")] = 12.0,
-    data: Annotated[
-        list[Path] | None,
-        typer.Option(help="Recording; each fleet begins at another view of it. Repeatable."),
-    ] = None,
-    clouds: Clouds = None,
-    metres_per_unit: MetresPerUnit = None,
-    workers: Annotated[int, typer.Option(min=1, help="Alignment processes.")] = 2,
-    seed: Annotated[int, typer.Option(help="Of the first synthetic world; then one more.")] = 0,
-    offline: Annotated[
-        bool, typer.Option("--offline", help="Without network, by the server's jobs and solver.")
-    ] = False,
-) -> None:
+@of(RestartsOptions)
+def restarts(options: RestartsOptions, out: Out) -> None:
     """Start fleets anew, each with other noise and other views, and compare the errors of their
     poses with the covariances that the server publishes.
 
@@ -141,54 +50,22 @@ def restarts(
     camera were tracked by that camera: they are judged against 0.05 m of noise in their own poses,
     and it is said.
     """
-    from fleetpose.evaluation.data.reconstructed import all_in_metres
-    from fleetpose.evaluation.system.restarts import RestartsOptions, run
+    from fleetpose.evaluation.system.restarts import run
 
-    kind, sets = clouds.value if clouds else None, all_in_metres(data or (), metres_per_unit)
-    run(RestartsOptions(restarts, robots, seconds, sets, kind, workers, seed, offline), out)
+    run(options, out)
 
 
 @app.command()
-def faults(
-    out: Out,
-    kills: Annotated[
-        int | None, typer.Option(min=0, help="Kill processes at random moments. [default: 20]")
-    ] = None,
-    freeze: Annotated[
-        float | None, typer.Option(min=0, help="Freeze one client, seconds. [default: 10]")
-    ] = None,
-    late_clicks: Annotated[
-        int | None, typer.Option(min=0, help="Click in images half a minute old. [default: 1000]")
-    ] = None,
-    inject: Annotated[
-        str,
-        typer.Option(
-            help="Of none,skew,clock,baseline,mirrored,person,frozen,still,kidnapped,carried,"
-            "carried-one,leave,old-epoch,clock-step; alone unless more is given."
-        ),
-    ] = "",
-    seconds: Annotated[float, typer.Option(min=10, help="With each of these.")] = 50.0,
-    robots: Annotated[int, typer.Option(min=3, max=16, help="With each of these.")] = 4,
-    seed: Annotated[int, typer.Option(help="Which processes are killed, and when.")] = 0,
-) -> None:
+@of(FaultOptions)
+def faults(options: FaultOptions, out: Out) -> None:
     """Kill server, router, robots and the operator's client under clicks, freeze a client, click
     late; count what is lost. Or spoil a robot's calibration, clock or trigger, have somebody walk
     through the scene, freeze a camera, carry robots away (--inject), and see whether it is named
     and does harm. 0: not this.
     """
-    from fleetpose.evaluation.system.faults.command import FaultOptions, run
+    from fleetpose.evaluation.system.faults.command import run
 
-    usual = not inject
-    options = FaultOptions(
-        kills=20 * usual if kills is None else kills,
-        freeze_s=10.0 * usual if freeze is None else freeze,
-        late_clicks=1000 * usual if late_clicks is None else late_clicks,
-        inject=tuple(inject.split(",")) if inject else (),
-        inject_s=seconds,
-        inject_robots=robots,
-        seed=seed,
-    )
-    run(options, out)
+    run(options.with_usual(), out)
 
 
 @app.command(hidden=True)
@@ -230,36 +107,50 @@ def demo(
 
 
 @app.command()
+@of(WorldOptions)
 def world(
+    options: WorldOptions,
     listen: Annotated[str, typer.Option(help="Address, host:port.")] = "127.0.0.1:7500",
-    robots: Annotated[int, typer.Option(min=1, help="How many.")] = 6,
-    seed: Annotated[int, typer.Option(help="Of textures and noise.")] = 0,
-    separation: Annotated[
-        float | None, typer.Option(help="Degrees between neighbours; else at most 45, varying.")
-    ] = None,
-    moving: Annotated[bool, typer.Option("--moving", help="The robots walk slowly.")] = False,
-    turning: Annotated[
-        list[str] | None, typer.Option(help="A robot that looks to and fro; repeatable.")
-    ] = None,
-    person: Annotated[
-        bool, typer.Option("--person", help="Somebody walks before the second robot.")
-    ] = False,
     truth_file: Annotated[Path | None, typer.Option(help="Where true poses are written.")] = None,
-    plan: World = None,
-    unique: Unique = 0,
 ) -> None:
     """Serve a synthetic world, for robots with `--camera synthetic --data host:port/r1`."""
-    from fleetpose.evaluation.simulate.world_server import WorldOptions
     from fleetpose.evaluation.simulate.world_server import main as serve
 
-    options = WorldOptions(
-        robots=robots,
-        seed=seed,
-        separation_deg=separation,
-        moving=moving,
-        turning=tuple(turning or ()),
-        person=person,
-        plan=plan.value if plan else None,
-        unique=unique,
-    )
     serve(options, listen, truth_file)
+
+
+@app.command()
+@of(HmiOptions)
+def hmi(options: HmiOptions, out: Out) -> None:
+    """Measure the text client in a pseudo-terminal (bytes, CPU, memory, from key to screen), with
+    poses and errors of a fleet at 10 Hz and two images at 5 Hz; then pick targets by keys and by
+    mouse in a real terminal (tmux).
+    """
+    from fleetpose.evaluation.system.terminal.hmi import run
+
+    run(options, out)
+
+
+@app.command("stand-in", hidden=True)
+def stand_in(
+    notes: Annotated[Path, typer.Option(help="File for the operator's updates.")],
+    robots: Annotated[int, typer.Option(min=2)] = 72,
+    moving: Annotated[bool, typer.Option("--moving")] = False,
+    connect: Annotated[list[str] | None, typer.Option(help="Endpoint of the router.")] = None,
+    site: Annotated[str, typer.Option(help="Name of the site.")] = "demo",
+) -> None:
+    """Say what a server and robots would say, for `hmi`."""
+    from fleetpose.evaluation.system.terminal.stand_in import Load, run
+
+    run(Load(robots, moving=moving), tuple(connect or ()), site, notes)
+
+
+@app.command()
+@of(OperateOptions)
+def operate(options: OperateOptions, out: Out) -> None:
+    """Join a fleet in two pieces by keys alone: the text client in a real terminal (tmux), and a
+    simulated person who sees what is on it. Writes every screen and summary.json.
+    """
+    from fleetpose.evaluation.system.terminal.operate import run
+
+    run(options, out)

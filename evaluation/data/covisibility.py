@@ -6,7 +6,7 @@ from typing import TypeVar
 
 from fleetpose.evaluation.data.opening import points_of
 from fleetpose.evaluation.data.recording import Recording, TrueView, shared_tracks
-from fleetpose.evaluation.metrics.geometry import Floats, inverse
+from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.evaluation.metrics.scoring import OverlapCloud, overlap
 
 TOGETHER_TRACKS, TOGETHER_OVERLAP = 30, 0.2
@@ -60,9 +60,7 @@ class Sights:
     def _same(self, a: TrueView, b: TrueView) -> bool:
         if (shared_tracks(self._recording, a, b) or 0) >= TOGETHER_TRACKS:
             return True
-        return self._dense and enough_overlap(
-            self._cloud(a), self._cloud(b), inverse(a.T_world_camera) @ b.T_world_camera
-        )
+        return self._dense and enough_overlap(self._cloud(a), self._cloud(b), a.T_to(b))
 
     def _cloud(self, view: TrueView) -> OverlapCloud:
         if view.index not in self._clouds:

@@ -6,14 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from fleetpose.evaluation.data.recording import (
-    CLOUD_KINDS,
-    CloudKind,
-    Recording,
-    TrueView,
-    npz_name,
-)
-from fleetpose.evaluation.metrics.geometry import inverse, nearest_rotation, rigid
+from fleetpose.evaluation.data.recording import CLOUD_KINDS, Recording, TrueView, npz_name
+from fleetpose.evaluation.metrics.geometry import Floats, inverse, nearest_rotation, rigid
+from fleetpose.evaluation.options.names import CloudKind
 from fleetpose.protocol.errors import DataFolderError
 
 _LEAST_POINTS = 10
@@ -24,6 +19,20 @@ def _json(path: Path) -> Any:
         return json.loads(path.read_text())
     except (OSError, ValueError) as error:
         raise DataFolderError(f"{path} cannot be read: {error}") from error
+
+
+def camera_entry(
+    name: str, size: tuple[int, int], K: Floats, T_camera_world: Floats
+) -> dict[str, Any]:
+    """A camera as `cameras.json` holds it."""
+    return {
+        "name": name,
+        "width": size[0],
+        "height": size[1],
+        "K": K.tolist(),
+        "R_world_to_cam": T_camera_world[:3, :3].tolist(),
+        "t_world_to_cam": T_camera_world[:3, 3].tolist(),
+    }
 
 
 def open_posed_views(directory: Path, clouds: CloudKind | None) -> Recording:

@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from fleetpose.evaluation.data.posed_views import camera_entry
 from fleetpose.evaluation.report.output import progress_bar
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.robot_agent.reconstructions.model import ReconstructedView
@@ -75,17 +76,8 @@ def as_posed_views(path: Path, metres_per_unit: float = 1.0) -> Path:
             seen, uv, p = model.measured(view)
             cv2.imwrite(str(out / "images" / f"{name}.jpg"), view.picture(), _QUALITY)
             np.savez(out / "sparse" / f"{name}.npz", uv=uv, xyz_cam=p, track_id=seen)
-            T = view.T_camera_world
-            cameras.append(
-                {
-                    "name": f"{name}.jpg",
-                    "width": view.width,
-                    "height": view.height,
-                    "K": view.K.tolist(),
-                    "R_world_to_cam": T[:3, :3].tolist(),
-                    "t_world_to_cam": T[:3, 3].tolist(),
-                }
-            )
+            size = (view.width, view.height)
+            cameras.append(camera_entry(f"{name}.jpg", size, view.K, view.T_camera_world))
     (out / "cameras.json").write_text(json.dumps({"cameras": cameras}))
     return out
 

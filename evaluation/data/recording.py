@@ -6,20 +6,15 @@ Camera frames have OpenCV axes; `T_world_camera` maps camera points to the world
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.metrics.geometry import Floats, inverse
+from fleetpose.evaluation.options.names import CloudKind
 
-CloudKind = Literal["sparse", "sparse_noisy", "stereo_pair_sparse", "stereo_dense"]
-CLOUD_KINDS: tuple[CloudKind, ...] = (
-    "sparse",
-    "sparse_noisy",
-    "stereo_pair_sparse",
-    "stereo_dense",
-)
+CLOUD_KINDS: tuple[CloudKind, ...] = get_args(CloudKind)
 
 
 @dataclass(frozen=True)
@@ -50,6 +45,10 @@ class TrueView:
     partner: str | None = None
     baseline_m: float | None = None
     ring_angle_deg: float | None = None
+
+    def T_to(self, other: "TrueView") -> Floats:
+        """(4, 4) the other camera in this one."""
+        return inverse(self.T_world_camera) @ other.T_world_camera
 
     @property
     def is_scan(self) -> bool:

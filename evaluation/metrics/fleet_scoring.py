@@ -1,7 +1,7 @@
 """From the poses that a fleet published to the numbers of `pose-eval fleet`: pure functions."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,7 @@ from fleetpose.evaluation.metrics.scoring import (
     aligned_errors_m,
     nees,
     percentile,
-    position_error_m,
-    rotation_error_deg,
+    pose_errors,
     share,
     with_reference,
 )
@@ -68,50 +67,31 @@ def score_sample(
     rows = []
     for robot in robots:
         pose = poses.get(robot)
-        if pose is None:
-            rows.append(SampleRow(time_s, robot, robot == anchor, located=False))
-        elif gauge is None or pose.component != gauge.component:
-            rows.append(
-                SampleRow(
-                    time_s,
-                    robot,
-                    robot == anchor,
-                    False,
-                    pose.T_fleet_robot,
-                    pose.covariance,
-                    pose.T_world_robot,
-                    verified=pose.verified,
-                )
+        row = SampleRow(time_s, robot, is_anchor=robot == anchor, located=False)
+        if pose is not None:
+            row = replace(
+                row,
+                T_fleet_robot=pose.T_fleet_robot,
+                covariance=pose.covariance,
+                T_world_robot=pose.T_world_robot,
+                verified=pose.verified,
             )
-        else:
-            row = _scored(time_s, robot, robot == anchor, pose, gauge, reference_sigma_m)
-            rows.append(row)
+            if gauge is not None and pose.component == gauge.component:
+                row = _scored(row, pose, gauge, reference_sigma_m)
+        rows.append(row)
     return rows
 
 
-def _scored(
-    time_s: float,
-    robot: str,
-    is_anchor: bool,
-    pose: PoseNow,
-    gauge: PoseNow,
-    reference_sigma_m: float,
-) -> SampleRow:
+def _scored(row: SampleRow, pose: PoseNow, gauge: PoseNow, reference_sigma_m: float) -> SampleRow:
     allowed = with_reference(pose.covariance, reference_sigma_m)
-    T_fleet_world = gauge.T_fleet_robot @ inverse(gauge.T_world_robot)
-    T_true = T_fleet_world @ pose.T_world_robot
-    return SampleRow(
-        time_s=time_s,
-        robot=robot,
-        is_anchor=is_anchor,
+    T_true = gauge.T_fleet_robot @ inverse(gauge.T_world_robot) @ pose.T_world_robot
+    error_m, error_deg = pose_errors(T_true, pose.T_fleet_robot)
+    return replace(
+        row,
         located=pose.located,
-        T_fleet_robot=pose.T_fleet_robot,
-        covariance=pose.covariance,
-        T_world_robot=pose.T_world_robot,
-        position_error_m=position_error_m(T_true, pose.T_fleet_robot),
-        rotation_error_deg=rotation_error_deg(T_true, pose.T_fleet_robot),
-        nees=None if is_anchor else nees(T_true, pose.T_fleet_robot, allowed),
-        verified=pose.verified,
+        position_error_m=error_m,
+        rotation_error_deg=error_deg,
+        nees=None if row.is_anchor else nees(T_true, pose.T_fleet_robot, allowed),
     )
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fleetpose.evaluation.report.output import new_figure
+from fleetpose.evaluation.report.output import plot
 
 BINS = 10
 
@@ -25,21 +25,17 @@ def expected_calibration_error(p: Sequence[float], true: Sequence[bool]) -> floa
 
 def plot_reliability(path: Path, p: Sequence[float], true: Sequence[bool]) -> None:
     """Observed share of grave errors over the stated probability, with the number of pairs."""
-    figure, axes = new_figure()
     bins, stated, came = _bins(p), np.asarray(p, float), np.asarray(true, float)
-    axes.plot([0, 1], [0, 1], color="grey", label="as stated")
-    for b in np.unique(bins):
-        some = bins == b
-        sigma = np.sqrt(
-            max(came[some].mean() * (1 - came[some].mean()), 0.25 / some.sum()) / some.sum()
-        )
-        axes.errorbar(stated[some].mean(), came[some].mean(), sigma, marker="o", color="C0")
-        axes.annotate(f" {some.sum()}", (stated[some].mean(), came[some].mean()), fontsize=8)
-    axes.set(xlabel="stated probability of a grave error", ylabel="share that is gravely off")
-    axes.set_title(f"expected calibration error {expected_calibration_error(p, true):.3f}")
-    axes.grid(alpha=0.3)
-    axes.legend(loc="upper left")
-    figure.savefig(path)
+    x, y = "stated probability of a grave error", "share that is gravely off"
+    title = f"expected calibration error {expected_calibration_error(p, true):.3f}"
+    with plot(path, legend="upper left", grid=True, title=title, xlabel=x, ylabel=y) as axes:
+        axes.plot([0, 1], [0, 1], color="grey", label="as stated")
+        for b in np.unique(bins):
+            some = bins == b
+            share, count = came[some].mean(), some.sum()
+            sigma = np.sqrt(max(share * (1 - share), 0.25 / count) / count)
+            axes.errorbar(stated[some].mean(), share, sigma, marker="o", color="C0")
+            axes.annotate(f" {count}", (stated[some].mean(), share), fontsize=8)
 
 
 def _bins(p: Sequence[float]) -> np.ndarray:

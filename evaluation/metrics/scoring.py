@@ -63,6 +63,11 @@ def rotation_error_deg(T_true: Floats, T_estimated: Floats) -> float:
     return float(np.degrees(2.0 * np.arcsin(min(chord / (2.0 * np.sqrt(2.0)), 1.0))))
 
 
+def pose_errors(T_true: Floats, T_estimated: Floats) -> tuple[float, float]:
+    """Metres and degrees."""
+    return position_error_m(T_true, T_estimated), rotation_error_deg(T_true, T_estimated)
+
+
 def optical_angle_deg(T_world_i: Floats, T_world_j: Floats) -> float:
     """Angle between the optical axes (z) of two cameras."""
     z_i, z_j = T_world_i[:3, 2], T_world_j[:3, 2]

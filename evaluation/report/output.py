@@ -4,7 +4,9 @@ import csv
 import json
 import math
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -47,18 +49,30 @@ def pose_cells(T_a_b: Floats | None, covariance: Floats | None) -> dict[str, flo
     return row
 
 
-def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Writes rows, with exactly these columns; None becomes an empty cell."""
+def write_csv(path: Path, columns: Sequence[str] | type, rows: Iterable[Any]) -> None:
+    """Writes rows, mappings or dataclasses, with exactly these columns, or with the fields of a
+    dataclass; None becomes an empty cell.
+    """
+    names = [one.name for one in fields(columns)] if isinstance(columns, type) else columns
     with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, columns, extrasaction="ignore")
+        writer = csv.DictWriter(file, names, extrasaction="ignore")
         writer.writeheader()
-        writer.writerows(rows)
+        writer.writerows(row if isinstance(row, Mapping) else vars(row) for row in rows)
 
 
-def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
-    """Writes `summary.json`; numbers that are not finite become null."""
+def write_summary(folder: Path, summary: Mapping[str, Any], title: str = "") -> None:
+    """Writes `summary.json`; numbers that are not finite become null. With a title it is printed
+    as well.
+    """
     text = json.dumps(_finite(summary), indent=1, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n")
+    if title:
+        print_table(title, ("", ""), summary.items())
+
+
+def scalars(summary: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """What of a summary fits into a table's cell."""
+    return [(key, value) for key, value in summary.items() if not isinstance(value, list | dict)]
 
 
 def _finite(value: Any) -> Any:
@@ -123,3 +137,30 @@ def new_figure(width: float = 6.0, height: float = 5.0) -> tuple[Any, Any]:
     figure = Figure(figsize=(width, height), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.add_subplot()
+
+
+@contextmanager
+def plot(
+    path: Path,
+    size: tuple[float, float] = (6.0, 5.0),
+    legend: str = "best",
+    grid: bool = False,
+    **about: Any,
+) -> Iterator[Any]:
+    """Axes to draw on, a PNG file afterwards.
+
+    Args:
+        path: the file.
+        size: inches.
+        legend: where it goes, if anything that is drawn has a label.
+        grid: whether there are faint lines.
+        about: what `Axes.set` takes: labels, limits, scales.
+    """
+    figure, axes = new_figure(*size)
+    yield axes
+    axes.set(**about)
+    if grid:
+        axes.grid(alpha=0.3)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc=legend)
+    figure.savefig(path)

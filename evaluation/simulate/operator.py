@@ -17,9 +17,9 @@ from fleetpose.evaluation.system.observer import Observer, SeenView
 from fleetpose.hmi_client.network.outbox import Outbox
 from fleetpose.protocol import codec
 from fleetpose.protocol.errors import CodecError
-from fleetpose.protocol.keys import Keys, ordered_pair
+from fleetpose.protocol.keys import ordered_pair
 from fleetpose.protocol.messages import OperatorUpdate, Receipts, View
-from fleetpose.protocol.transport import Link, Sample, wait_until
+from fleetpose.protocol.transport import Sample, wait_until
 
 CLICK_SIGMA_PX = 1.5
 REPEAT_S = 1.0
@@ -187,8 +187,7 @@ class SimulatedOperator:
     and then a pose of one of its robots arrived, however long that takes.
 
     Args:
-        link, keys: of the session to use.
-        observer: what is known of the fleet.
+        observer: what is known of the fleet, and the session to use.
         eyes: the truth.
         clicks_per_minute: how fast it clicks.
         only_asked: click nothing that the server did not ask for.
@@ -198,8 +197,6 @@ class SimulatedOperator:
 
     def __init__(
         self,
-        link: Link,
-        keys: Keys,
         observer: Observer,
         eyes: Eyes,
         clicks_per_minute: float,
@@ -216,6 +213,7 @@ class SimulatedOperator:
         self._chance = random.Random(seed)
         self._mistakes = mistakes
         self._outbox = Outbox("op-simulated")
+        link, keys = observer.link, observer.keys
         self._publisher = link.latched(keys.updates(self._outbox.operator), block=True, history=10)
         self._receipts: tuple[float, Receipts] | None = None
         link.on_latched(keys.receipts(self._outbox.operator), self._note_receipts)

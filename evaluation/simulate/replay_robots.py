@@ -69,9 +69,7 @@ def run(
     Raises:
         FleetPoseError: a camera or the router cannot be had.
     """
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_at_signals()
     settings = SenderSettings(rate_hz=rate_hz)
     recorded = {source.name: _record(source, frames, settings) for source in sources}
     with ExitStack() as closing:
@@ -85,6 +83,14 @@ def run(
                 wait_until(lambda due_s=due_s: stop.is_set() or time.monotonic() >= due_s, 60.0)
                 robot.show_next()
             turn += 1
+
+
+def stop_at_signals() -> threading.Event:
+    """An event that SIGTERM and SIGINT set from now on."""
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    return stop
 
 
 def _record(source: Source, frames: int, settings: SenderSettings) -> list[KeptView]:

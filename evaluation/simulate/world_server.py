@@ -12,12 +12,12 @@ import signal
 import socketserver
 import threading
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fleetpose.evaluation.options.fleets import WorldOptions
 from fleetpose.evaluation.simulate.world import PlanWorld, RingWorld, World
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
@@ -126,54 +126,28 @@ def write_truth(world: World, file: Path) -> None:
     part.replace(file)
 
 
-@dataclass(frozen=True)
-class WorldOptions:
-    """Which world is served: the town square with robots on a ring, or a plan that fools.
+def world_of(options: WorldOptions) -> World:
+    """The world that is asked for and its robots.
 
-    Attributes:
-        robots: how many.
-        seed: of textures, places and noise.
-        separation_deg, moving, turning, person: of a ring, see `RingWorld`.
-        plan: its name; its robots stand still.
-        unique: how many unique things stand about in it.
+    Raises:
+        FleetPoseError: it cannot be.
     """
-
-    robots: int
-    seed: int = 0
-    separation_deg: float | None = None
-    moving: bool = False
-    turning: tuple[str, ...] = ()
-    person: bool = False
-    plan: str | None = None
-    unique: int = 0
-
-    @property
-    def moves(self) -> bool:
-        """Whether any robot does."""
-        return self.moving or bool(self.turning)
-
-    def world(self) -> World:
-        """The world and its robots.
-
-        Raises:
-            FleetPoseError: it cannot be.
-        """
-        if self.plan is None:
-            if self.unique:
-                raise FleetPoseError(f"--unique {self.unique}: name a plan with --plan")
-            return RingWorld(
-                self.robots,
-                self.separation_deg,
-                seed=self.seed,
-                moving=self.moving,
-                turning=self.turning,
-                person=self.person,
-            )
-        if self.moves or self.person or self.separation_deg is not None:
-            raise FleetPoseError(
-                f"in the plan {self.plan} robots stand still, here and there, and nobody walks"
-            )
-        return PlanWorld(self.plan, self.robots, self.unique, self.seed)
+    if options.plan is None:
+        if options.unique:
+            raise FleetPoseError(f"--unique {options.unique}: name a plan with --plan")
+        return RingWorld(
+            options.robots,
+            options.separation_deg,
+            seed=options.seed,
+            moving=options.moving,
+            turning=options.turning,
+            person=options.person,
+        )
+    if options.moves or options.person or options.separation_deg is not None:
+        raise FleetPoseError(
+            f"in the plan {options.plan} robots stand still, here and there, and nobody walks"
+        )
+    return PlanWorld(options.plan, options.robots, options.unique, options.seed)
 
 
 def main(options: WorldOptions, listen: str, truth_file: Path | None) -> None:
@@ -191,7 +165,7 @@ def main(options: WorldOptions, listen: str, truth_file: Path | None) -> None:
     host, _, port = listen.rpartition(":")
     if not host or not port.isdigit():
         raise FleetPoseError(f"'{listen}' is no address: give host:port")
-    world = options.world()
+    world = world_of(options)
     logged = truth_file is not None and options.moves
     log = Path(f"{truth_file}.log.jsonl") if logged else None
     try:

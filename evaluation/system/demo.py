@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from fleetpose.evaluation.simulate.operator import SimulatedOperator
 from fleetpose.evaluation.system.fleet import (
     FleetPlan,
     kept_apart,
-    open_link,
+    observed,
     plan_world,
     poses_now,
     start,
@@ -28,7 +29,6 @@ from fleetpose.evaluation.system.fleet import (
 from fleetpose.evaluation.system.observer import Observer, first_time_located
 from fleetpose.evaluation.system.truth import WorldTruth
 from fleetpose.protocol.errors import FleetPoseError
-from fleetpose.protocol.keys import Keys
 
 CLICKS_PER_MINUTE = 60.0
 SETTLE_S = 5.0  # after all are located, so that the last alignments count
@@ -109,13 +109,9 @@ def _on_screen(fleet: LocalFleet) -> int:
 
 def _unattended(fleet: LocalFleet, plan: FleetPlan, deadline_s: float) -> DemoResult:
     """Waits until all robots are located; a simulated operator answers what is asked."""
-    link = open_link(fleet)
-    keys = Keys(fleet.site)
-    observer = Observer(link, keys)
-    operator = SimulatedOperator(
-        link, keys, observer, plan.truth, CLICKS_PER_MINUTE, only_asked=True
-    )
-    try:
+    with observed(fleet) as observer, ExitStack() as closing:
+        operator = SimulatedOperator(observer, plan.truth, CLICKS_PER_MINUTE, only_asked=True)
+        closing.callback(operator.close)
         up_s = wait_started(fleet, observer, len(plan.robots))
         print("all processes are up", flush=True)
         operator.start()
@@ -125,10 +121,6 @@ def _unattended(fleet: LocalFleet, plan: FleetPlan, deadline_s: float) -> DemoRe
         if operator.clicks:
             print(f"the simulated operator clicked {operator.clicks} times")
         all_located_s = first_time_located(observer.located_counts, len(plan.robots), up_s)
-    finally:
-        operator.close()
-        observer.close()
-        link.close()
     assert isinstance(plan.truth, WorldTruth)
     return DemoResult(rows, len(plan.robots), plan.truth.radius_m(), all_located_s)
 

@@ -3,19 +3,19 @@
 import random
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 from fleetpose.evaluation.data.anonymize import StrippedFolder, distinct_names, strip
 from fleetpose.evaluation.data.covisibility import paired_up
-from fleetpose.evaluation.data.opening import open_recording
 from fleetpose.evaluation.data.parts import parts_of
-from fleetpose.evaluation.data.recording import CloudKind
 from fleetpose.evaluation.metrics.fleet_scoring import PoseNow, SampleRow, score_sample
 from fleetpose.evaluation.metrics.scoring import RGBD_REFERENCE_SIGMA_M
+from fleetpose.evaluation.options.fleets import FleetOptions
 from fleetpose.evaluation.report.output import output_folder, progress_bar
 from fleetpose.evaluation.simulate.operator import SimulatedOperator
 from fleetpose.evaluation.system.fleet_report import FleetResult, write_results
@@ -26,12 +26,12 @@ from fleetpose.protocol.errors import DataFolderError, FleetPoseError
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.transport import Link, SessionSettings, free_port, open_session, wait_until
 
+USUAL_ROBOTS = 6
 FIRST_SAMPLE_S = 20.0
 WORLD_START_S = 60.0
 RATE_HZ, REPLAYED_RATE_HZ = 1.0, 0.5  # views of an agent, and of each robot that is replayed
-MOST_AGENTS = (
-    16  # beyond, views are encoded beforehand and replayed, so that the server is measured
-)
+MOST_AGENTS = 16
+"""Beyond, views are encoded beforehand and replayed, so that the server is measured."""
 LOAD = "load"
 ERRAND_RATE = 30.0  # clicks per minute on pairs that are skipped otherwise
 STARTED_WITHIN_S = 120.0
@@ -72,29 +72,6 @@ class FleetPlan:
         return (LOAD,) if self.replayed else self.names
 
 
-@dataclass(frozen=True)
-class FleetOptions:
-    """What `pose-eval fleet` is asked for."""
-
-    robots: int
-    seconds: float
-    data: Path | None = None
-    clouds: CloudKind | None = None
-    first: int = 0
-    skip_pairs: Path | None = None
-    clicks_per_minute: float = 0.0
-    clicks_on_skipped: int = 0
-    workers: int = 2
-    cluster: str | None = None
-    moving: bool = False
-    seed: int = 0
-    world: str | None = None  # a plan that fools, instead of the town square
-    unique: int = 0
-    views: tuple[int, ...] = ()  # one robot stands at each of these; `robots` is their number then
-    mistakes: float = 0.0  # share of the questions that the operator answers wrongly
-    recipe: Literal["full", "paper"] = "full"
-
-
 @dataclass
 class _Watch:
     """What is noted while the fleet runs."""
@@ -113,6 +90,7 @@ def run(options: FleetOptions, out: Path) -> dict[str, Any]:
         raise FleetPoseError(
             f"--seconds {options.seconds:g}: poses are scored from 20 s on, give more"
         )
+    options.in_metres()  # what cannot be is said before anything is made
     for old in output_folder(out).glob("logs/*.log"):
         old.unlink()
     watch = _Watch()
@@ -123,23 +101,16 @@ def run(options: FleetOptions, out: Path) -> dict[str, Any]:
             state = Path(scratch) / "state"
             options_of_server = ("--recipe", options.recipe)
             start(fleet, plan, options.workers, state, skip, options.cluster, options_of_server)
-            link = open_link(fleet)
-            observer = Observer(link, Keys(fleet.site))
-            operator = None
-            try:
+            with observed(fleet) as observer, ExitStack() as closing:
                 started_s = wait_started(fleet, observer, len(plan.robots))
-                operator = _operator(options, link, Keys(fleet.site), observer, plan, skip)
+                operator = _operator(options, observer, plan, skip)
                 if operator is not None:
+                    closing.callback(operator.close)
                     operator.start()
                 _watch(fleet, observer, plan, started_s, options.seconds, watch)
                 if operator is not None:
                     operator.finish()
                 unanswered_s = [] if operator is None else operator.unanswered_s()
-            finally:
-                if operator is not None:
-                    operator.close()
-                observer.close()
-                link.close()
         result = FleetResult(
             robots=plan.names,
             rows=watch.rows,
@@ -157,45 +128,34 @@ def run(options: FleetOptions, out: Path) -> dict[str, Any]:
 
 
 def _operator(
-    options: FleetOptions,
-    link: Link,
-    keys: Keys,
-    observer: Observer,
-    plan: FleetPlan,
-    skip: Path | None,
+    options: FleetOptions, observer: Observer, plan: FleetPlan, skip: Path | None
 ) -> SimulatedOperator | None:
     """Who clicks at a steady rate, or so many points on each skipped pair and no more."""
     if options.clicks_on_skipped and skip is not None:
         pairs = [tuple(sorted(line.split())) for line in skip.read_text().splitlines()]
         errands = dict.fromkeys(pairs, options.clicks_on_skipped)
-        return SimulatedOperator(link, keys, observer, plan.truth, ERRAND_RATE, errands=errands)
+        return SimulatedOperator(observer, plan.truth, ERRAND_RATE, errands=errands)
     if options.clicks_per_minute > 0:
-        return SimulatedOperator(
-            link,
-            keys,
-            observer,
-            plan.truth,
-            options.clicks_per_minute,
-            seed=options.seed,
-            mistakes=options.mistakes,
-        )
+        rate, seed = options.clicks_per_minute, options.seed
+        return SimulatedOperator(observer, plan.truth, rate, seed=seed, mistakes=options.mistakes)
     return None
 
 
 def plan_fleet(options: FleetOptions, scratch: Path) -> FleetPlan:
     """Robots with random names on stripped folders of a recording, or in a synthetic world."""
     rng = random.Random()
-    names = distinct_names(len(options.views) or options.robots, rng)
-    if options.data is None:
+    robots = options.robots or USUAL_ROBOTS
+    names = distinct_names(len(options.views) or robots, rng)
+    if options.world is not None and options.data:
+        raise FleetPoseError(f"--world {options.world} and --data: give one of them")
+    recording = options.recording()
+    if recording is None:
         if options.views:
             raise DataFolderError("--views names views of a recording: give --data DIR")
         return plan_world(
             names, scratch, options.moving, options.seed, options.world, options.unique
         )
-    if options.world is not None:
-        raise FleetPoseError(f"--world {options.world} and --data: give one of them")
-    recording = open_recording(options.data, options.clouds)
-    parts = parts_of(recording, options.robots, options.first, options.views)
+    parts = parts_of(recording, robots, options.first, options.views)
     folders = {
         name: strip(recording, part, scratch / name, rng)
         for name, part in zip(names, parts, strict=True)
@@ -346,6 +306,18 @@ def _wait_for_world(fleet: LocalFleet, truth: WorldTruth) -> None:
 def open_link(fleet: LocalFleet) -> Link:
     """The evaluation's own session."""
     return Link(open_session(SessionSettings(connect=(fleet.endpoint,))))
+
+
+@contextmanager
+def observed(fleet: LocalFleet) -> Iterator[Observer]:
+    """What is heard of a fleet, by a session of the evaluation's own."""
+    link = open_link(fleet)
+    observer = Observer(link, Keys(fleet.site))
+    try:
+        yield observer
+    finally:
+        observer.close()
+        link.close()
 
 
 def wait_started(fleet: LocalFleet, observer: Observer, robots: int) -> float:

@@ -10,15 +10,7 @@ import numpy as np
 from fleetpose.evaluation.metrics.fleet_scoring import SampleRow, positions, summarize_poses
 from fleetpose.evaluation.metrics.geometry import Floats, align_points, transform
 from fleetpose.evaluation.metrics.scoring import Limits, percentile
-from fleetpose.evaluation.report.output import (
-    COVARIANCE_COLUMNS,
-    POSE_COLUMNS,
-    new_figure,
-    pose_cells,
-    print_table,
-    write_csv,
-    write_summary,
-)
+from fleetpose.evaluation.report import output
 from fleetpose.evaluation.simulate.operator import SimulatedOperator
 from fleetpose.evaluation.system.memory import Memory
 from fleetpose.evaluation.system.observer import Observer, first_time_located
@@ -26,18 +18,8 @@ from fleetpose.evaluation.system.observer import Observer, first_time_located
 LATE_S = 30.0  # a click that takes longer
 NEWEST_WINS = ("newer_view",)
 """Reasons of drops that are meant: an older view gave way to a newer one."""
-SAMPLE_COLUMNS = (
-    "time_s",
-    "place",
-    "robot",
-    "anchor",
-    "located",
-    "position_error_m",
-    "rotation_error_deg",
-    "nees",
-    *POSE_COLUMNS,
-    *COVARIANCE_COLUMNS,
-)
+SAMPLE_COLUMNS = ("time_s", "place", "robot", "anchor", "located", "position_error_m")
+SAMPLE_COLUMNS += ("rotation_error_deg", "nees", *output.POSE_COLUMNS, *output.COVARIANCE_COLUMNS)
 
 
 @dataclass(frozen=True)
@@ -60,12 +42,13 @@ class FleetResult:
 def write_results(out: Path, result: FleetResult) -> dict[str, Any]:
     """Writes summary.json, poses.csv and map.png; prints a table. Returns the summary."""
     summary = summarize(result)
-    write_summary(out, summary)
+    output.write_summary(out, summary)
     places = {robot: f"r{number + 1}" for number, robot in enumerate(result.robots)}
-    write_csv(out / "poses.csv", SAMPLE_COLUMNS, (_cells(row, places) for row in result.rows))
+    output.write_csv(
+        out / "poses.csv", SAMPLE_COLUMNS, (_cells(row, places) for row in result.rows)
+    )
     plot_map(out / "map.png", result.rows, places)
-    shown = [(key, value) for key, value in summary.items() if not isinstance(value, list | dict)]
-    print_table("fleet", ("", ""), shown)
+    output.print_table("fleet", ("", ""), output.scalars(summary))
     return summary
 
 
@@ -159,34 +142,23 @@ def plot_map(path: Path, rows: Sequence[SampleRow], places: dict[str, str]) -> N
     """True and estimated positions of the last sample, seen from where they spread most."""
     last = [row for row in rows if row.time_s == rows[-1].time_s] if rows else []
     last = [row for row in last if row.position_error_m is not None]
-    figure, axes = new_figure(7.0, 7.0)
-    axes.set(title="robots in the last sample", xlabel="m", ylabel="m", aspect="equal")
-    if last:
-        true = positions(row.T_world_robot for row in last)
-        found = positions(row.T_fleet_robot for row in last)
-        found = transform(align_points(true, found), found)
-        centre = true.mean(0)
-        plane = np.linalg.svd(true - centre, full_matrices=True)[2][:2]
-        xy_true, xy_found = (true - centre) @ plane.T, (found - centre) @ plane.T
-        axes.plot(*xy_true.T, "o", mfc="none", color="black", label="truth")
-        axes.plot(*xy_found.T, "x", color="tab:red", label="estimated, after one rigid fit")
-        for row, (x, y) in zip(last, xy_true, strict=True):
-            star = "*" if row.is_anchor else ""
-            axes.annotate(f" {places[row.robot]}{star}", (x, y), fontsize=8)
-        axes.legend()
-    axes.grid(alpha=0.3)
-    figure.savefig(path)
+    with output.plot(path, (7.0, 7.0), grid=True, xlabel="m", ylabel="m", aspect="equal") as axes:
+        axes.set(title="robots in the last sample")
+        if last:
+            true = positions(row.T_world_robot for row in last)
+            found = positions(row.T_fleet_robot for row in last)
+            found = transform(align_points(true, found), found)
+            centre = true.mean(0)
+            plane = np.linalg.svd(true - centre, full_matrices=True)[2][:2]
+            xy_true, xy_found = (true - centre) @ plane.T, (found - centre) @ plane.T
+            axes.plot(*xy_true.T, "o", mfc="none", color="black", label="truth")
+            axes.plot(*xy_found.T, "x", color="tab:red", label="estimated, after one rigid fit")
+            for row, (x, y) in zip(last, xy_true, strict=True):
+                star = "*" if row.is_anchor else ""
+                axes.annotate(f" {places[row.robot]}{star}", (x, y), fontsize=8)
 
 
 def _cells(row: SampleRow, places: dict[str, str]) -> dict[str, Any]:
-    return {
-        **pose_cells(row.T_fleet_robot, row.covariance),
-        "time_s": row.time_s,
-        "place": places[row.robot],
-        "robot": row.robot,
-        "anchor": int(row.is_anchor),
-        "located": int(row.located),
-        "position_error_m": row.position_error_m,
-        "rotation_error_deg": row.rotation_error_deg,
-        "nees": row.nees,
-    }
+    flags = {"anchor": int(row.is_anchor), "located": int(row.located)}
+    pose = output.pose_cells(row.T_fleet_robot, row.covariance)
+    return {**vars(row), **pose, **flags, "place": places[row.robot]}

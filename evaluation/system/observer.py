@@ -108,7 +108,7 @@ class Observer:
     """
 
     def __init__(self, link: Link, keys: Keys) -> None:
-        self._keys = keys
+        self.link, self.keys = link, keys
         self._arrivals = _Arrivals()
         self._lock = threading.Lock()
         self._views: dict[str, SeenView] = {}
@@ -187,7 +187,7 @@ class Observer:
             return {key.rsplit("/", 1)[-1] for key in self._alive if "/server/" in key}
 
     def _subscribe(self, link: Link) -> None:
-        keys = self._keys
+        keys = self.keys
         self._clouds = link.subscribe_bulk(keys.cloud("*"), self._arrivals.store)
         for key in (keys.poses, keys.state, keys.status, keys.alignment("*", "*")):
             link.on_latched(key, self._arrivals.store)

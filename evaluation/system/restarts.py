@@ -7,7 +7,6 @@ a recording; every robot counts once in it.
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,52 +15,19 @@ import numpy as np
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 from fleetpose.evaluation.bench.offline.fleet import Task, put_together
 from fleetpose.evaluation.bench.offline.fleet import scored as scored_offline
-from fleetpose.evaluation.bench.working import as_done, on_the_wire, worker_pool
-from fleetpose.evaluation.data.opening import median_depth_m, open_recordings
-from fleetpose.evaluation.data.recording import (
-    CloudKind,
-    Recording,
-    TrueView,
-    are_partners,
-    in_ring_order,
-)
+from fleetpose.evaluation.bench.working import bench_of
+from fleetpose.evaluation.data.opening import median_depth_m
+from fleetpose.evaluation.data.recording import Recording, TrueView, are_partners, in_ring_order
 from fleetpose.evaluation.data.splits import split_of
 from fleetpose.evaluation.metrics.fleet_scoring import SampleRow, score_sample
 from fleetpose.evaluation.metrics.scoring import RGBD_REFERENCE_SIGMA_M, Limits
+from fleetpose.evaluation.options.fleets import FleetOptions, RestartsOptions
 from fleetpose.evaluation.report.output import output_folder, progress_bar
-from fleetpose.evaluation.system.fleet import (
-    FleetOptions,
-    open_link,
-    plan_fleet,
-    poses_now,
-    start,
-    wait_started,
-)
-from fleetpose.evaluation.system.observer import Observer
+from fleetpose.evaluation.system.fleet import observed, plan_fleet, poses_now, start, wait_started
 from fleetpose.evaluation.system.restarts_report import PoseRow, scored, write_results
 from fleetpose.protocol.errors import DataFolderError
-from fleetpose.protocol.keys import Keys
 
 WORLD = "synthetic world"
-
-
-@dataclass(frozen=True)
-class RestartsOptions:
-    """What `pose-eval restarts` is asked for: so many fleets of each set, each for so many seconds.
-
-    Attributes:
-        data: recordings; the synthetic world if there is none.
-        offline: without processes and network, through the server's own jobs and solver.
-    """
-
-    restarts: int = 30
-    robots: int = 8
-    seconds: float = 12.0
-    data: tuple[Path, ...] = ()
-    clouds: CloudKind | None = None
-    workers: int = 2
-    seed: int = 0
-    offline: bool = False
 
 
 def run(options: RestartsOptions, out: Path) -> dict[str, Any]:
@@ -70,19 +36,18 @@ def run(options: RestartsOptions, out: Path) -> dict[str, Any]:
     Raises:
         FleetPoseError: the data cannot be used, or a process ended.
     """
-    recordings = open_recordings(options.data, options.clouds)
+    recordings = options.recordings()
     if options.offline and not recordings:
         raise DataFolderError("--offline needs recorded views: give --data DIR, again for more")
     stands = [views_of(recording, options) for recording in recordings]
     output_folder(out)
     found = []
-    with progress_bar() as progress:
-        for recording, views in zip(recordings, stands, strict=True):
-            by = _offline if options.offline else _live
-            found.append((_about(recording, options), by(options, recording, views, out, progress)))
-        if not recordings:
-            none: list[tuple[int, ...]] = [()] * options.restarts
-            found.append((_about(None, options), _live(options, None, none, out, progress)))
+    for recording, views in zip(recordings, stands, strict=True):
+        by = _offline if options.offline else _live
+        found.append((_about(recording, options), by(options, recording, views, out)))
+    if not recordings:
+        none: list[tuple[int, ...]] = [()] * options.restarts
+        found.append((_about(None, options), _live(options, None, none, out)))
     for about, rows in found:
         by_restart = [sum(row.restart == k for row in rows) for k in range(options.restarts)]
         about["located"] = float(np.mean([number + bool(number) for number in by_restart]))
@@ -136,15 +101,13 @@ def _live(
     recording: Recording | None,
     stands: Sequence[tuple[int, ...]],
     out: Path,
-    progress: Any,
 ) -> list[PoseRow]:
     """The poses of live fleets, one after the other."""
     name = WORLD if recording is None else recording.directory.name
-    bar = progress.add_task(f"restarts: {name}", total=len(stands))
     rows: list[PoseRow] = []
-    for number, views in enumerate(stands):
-        rows += _restart(options, recording, number, views, out / "logs")
-        progress.advance(bar)
+    with progress_bar() as progress:
+        for number, views in enumerate(progress.track(stands, description=f"restarts: {name}")):
+            rows += _restart(options, recording, number, views, out / "logs")
     return rows
 
 
@@ -153,25 +116,20 @@ def _offline(
     recording: Recording,
     stands: Sequence[tuple[int, ...]],
     out: Path,
-    progress: Any,
 ) -> list[PoseRow]:
     """The poses of fleets without network, by several workers."""
     del out
     limits = Limits.of(median_depth_m(recording), recording.is_rgbd)
-    with tempfile.TemporaryDirectory() as folder, worker_pool(options.workers) as pool:
-        needed = {index for views in stands for index in views}
+    needed = {index for views in stands for index in views}
+    with bench_of(options.workers) as bench:
         views = [view for view in recording.usable if view.index in needed]
-        wires, _ = on_the_wire(recording, views, Path(folder), pool, progress, seed=0)
-        bar = progress.add_task(f"restarts: {recording.directory.name}", total=len(stands))
-        jobs = (
+        wires, _ = bench.on_the_wire(recording, views, seed=0)
+        jobs = [
             (number, (_put_together, Task(recording, wires, number, chosen, limits)))
             for number, chosen in enumerate(stands)
-        )
-        found: dict[int, list[SampleRow]] = {}
-        for number, rows in as_done(pool, jobs, in_flight=options.workers):
-            found[number] = rows
-            progress.advance(bar)
-    return [row for number in sorted(found) for row in _located(number, found[number], limits)]
+        ]
+        found = bench.by_label(f"restarts: {recording.directory.name}", jobs)
+    return [row for number in found for row in _located(number, found[number], limits)]
 
 
 def _put_together(task: Task) -> list[SampleRow]:
@@ -191,7 +149,7 @@ def _restart(
     fleet_options = FleetOptions(
         robots=options.robots,
         seconds=options.seconds,
-        data=None if recording is None else recording.directory,
+        data=() if recording is None else (recording.directory,),
         clouds=None if recording is None else recording.clouds,
         workers=options.workers,
         seed=options.seed + number,
@@ -201,17 +159,12 @@ def _restart(
         plan = plan_fleet(fleet_options, Path(scratch))
         with LocalFleet(logs) as fleet:
             start(fleet, plan, options.workers, Path(scratch) / "state")
-            link = open_link(fleet)
-            observer = Observer(link, Keys(fleet.site))
-            try:
+            with observed(fleet) as observer:
                 wait_started(fleet, observer, len(plan.robots))
                 wait_running(fleet, lambda: False, options.seconds)
                 anchor = None if observer.state is None else observer.state.anchor
                 now = poses_now(observer, plan.truth)
                 depth_m = plan.truth.median_depth_m(observer.newest_views())
-            finally:
-                observer.close()
-                link.close()
     limits = Limits.of(depth_m, plan.truth.rgbd)
     rows = score_sample(options.seconds, plan.names, now, anchor, limits.reference_sigma_m)
     return _located(number, rows, limits)

@@ -1,7 +1,7 @@
 """What restarts come to: covariances beside errors, a line for each set, the worst first."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -11,20 +11,7 @@ from fleetpose.evaluation.metrics.fleet_scoring import SampleRow
 from fleetpose.evaluation.metrics.geometry import Floats, inverse, se3_log
 from fleetpose.evaluation.metrics.intervals import DRAWS, LEVEL
 from fleetpose.evaluation.metrics.scoring import CHI2_6_95, Limits, share, with_reference
-from fleetpose.evaluation.report.output import new_figure, print_table, write_csv, write_summary
-
-COLUMNS = (
-    "set",
-    "restart",
-    "robot",
-    "position_error_m",
-    "rotation_error_deg",
-    "nees",
-    "nees_rotation",
-    "nees_translation",
-    "verified",
-    "grave",
-)
+from fleetpose.evaluation.report.output import plot, print_table, write_csv, write_summary
 
 
 @dataclass(frozen=True)
@@ -45,6 +32,9 @@ class PoseRow:
     nees_translation: float
     verified: bool
     grave: bool
+
+
+COLUMNS = ("set", *(field.name for field in fields(PoseRow)))
 
 
 def scored(restart: int, row: SampleRow, rows: Sequence[SampleRow], limits: Limits) -> PoseRow:
@@ -123,7 +113,7 @@ def summarize(rows: Sequence[PoseRow], seed: int = 0) -> dict[str, Any]:
     coverages = [float(np.mean(v <= CHI2_6_95)) for v in drawn]
     low, high = (1 - LEVEL) / 2, (1 + LEVEL) / 2
     values = np.array([row.nees for row in rows])
-    summary: dict[str, Any] = {
+    return {
         "poses": len(rows),
         "nees_per_dof_median": _median(values / 6),
         "nees_per_dof_median_low": _quantile(medians, low),
@@ -137,7 +127,6 @@ def summarize(rows: Sequence[PoseRow], seed: int = 0) -> dict[str, Any]:
         "grave_located": sum(row.grave for row in rows),
         "grave_acted": sum(row.grave and row.verified for row in rows),
     }
-    return summary
 
 
 def _redrawn(groups: Sequence[Floats], seed: int) -> list[Floats]:
@@ -160,18 +149,12 @@ def plot_nees(path: Path, sets: Sequence[tuple[str, Sequence[PoseRow]]]) -> None
     """How often squared errors are below a value, beside how often they should be; a line a set."""
     from scipy.stats import chi2
 
-    figure, axes = new_figure()
-    for name, rows in sets:
-        values = np.sort([row.nees for row in rows])
-        shares = np.arange(1, len(values) + 1) / max(len(values), 1)
-        axes.step(values, shares, where="post", label=name)
-    x = np.linspace(0, 30, 200)
-    axes.plot(x, chi2.cdf(x, 6), "--", label="if covariances were right")
-    axes.set(
-        xlim=(0, 30),
-        ylim=(0, 1),
-        xlabel="squared error / covariance (6 degrees of freedom)",
-        ylabel="share of the poses below",
-    )
-    axes.legend()
-    figure.savefig(path)
+    with plot(path, xlim=(0, 30), ylim=(0, 1)) as axes:
+        for name, rows in sets:
+            values = np.sort([row.nees for row in rows])
+            shares = np.arange(1, len(values) + 1) / max(len(values), 1)
+            axes.step(values, shares, where="post", label=name)
+        x = np.linspace(0, 30, 200)
+        axes.plot(x, chi2.cdf(x, 6), "--", label="if covariances were right")
+        axes.set_xlabel("squared error / covariance (6 degrees of freedom)")
+        axes.set_ylabel("share of the poses below")

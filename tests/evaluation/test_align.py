@@ -13,6 +13,7 @@ from fleetpose.evaluation.bench.align_worker import Timed, missing_peers
 from fleetpose.evaluation.bench.baselines import PEERS, Peer, Sight, points_at, sift_view
 from fleetpose.evaluation.metrics.geometry import inverse, transform
 from fleetpose.evaluation.metrics.scoring import position_error_m, rotation_error_deg
+from fleetpose.evaluation.options.recorded import AlignOptions
 from tests.evaluation.makers import pose, write_posed_views
 
 
@@ -113,7 +114,7 @@ def test_posed_views_are_measured_by_grave_and_ok():
 
 def test_every_method_meets_the_same_pairs(tmp_path):
     write_posed_views(tmp_path / "set", count=2)
-    run(tmp_path / "set", "sparse_noisy", tmp_path / "out")
+    run(AlignOptions(tmp_path / "set", "sparse_noisy"), tmp_path / "out")
     with (tmp_path / "out" / "align.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     methods = ["fleetpose", "sift_ransac_icp", "open3d_ransac_icp", "open3d_fgr_icp", "kiss_gicp"]

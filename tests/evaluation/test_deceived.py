@@ -78,11 +78,11 @@ def test_summary_counts_what_must_not_be_and_shares_what_must():
     assert summary["grave_located"] == 1 and summary["told_wrong"] == summary["recovered"] == 0.75
 
 
-@pytest.mark.parametrize("how", [{"consistent_wrong_m": 0.2, "most_clicks": 4}, {"permuted": True}])
+@pytest.mark.parametrize("how", [{"consistent_wrong_m": 0.2, "clicks": (3, 4)}, {"permuted": True}])
 def test_the_command_asks_the_servers_own_site(tmp_path, how):
     write_rgbd(tmp_path / "data", 2)
     options = ClicksOptions(
-        tmp_path / "data", clicks=3, angles_deg=(0.0, 90.0), min_shared=0, draws=1, workers=1, **how
+        tmp_path / "data", angles_deg=(0.0, 90.0), min_shared=0, draws=1, workers=1, **how
     )
     summary = run(options, tmp_path / "out")
     assert json.loads((tmp_path / "out" / "summary.json").read_text()) == pytest.approx(summary)

@@ -78,10 +78,10 @@ def sent_by(folder, robot: str) -> list[SeenView]:
 def test_the_true_pose_of_a_view_is_known_by_its_cloud(tmp_path, rgbd):
     if rgbd:
         poses = write_rgbd(tmp_path / "set", count=4)
-        options = FleetOptions(robots=2, seconds=30, data=tmp_path / "set")
+        options = FleetOptions(robots=2, seconds=30, data=(tmp_path / "set",))
     else:
         poses = write_posed_views(tmp_path / "set", count=2)
-        options = FleetOptions(robots=2, seconds=30, data=tmp_path / "set", clouds="sparse")
+        options = FleetOptions(robots=2, seconds=30, data=(tmp_path / "set",), clouds="sparse")
     plan = plan_fleet(options, tmp_path / "scratch")
     found = []
     for robot in plan.robots:
@@ -96,7 +96,7 @@ def test_the_true_pose_of_a_view_is_known_by_its_cloud(tmp_path, rgbd):
 @pytest.mark.parametrize("rgbd", [False, True], ids=["views", "rgbd"])
 def test_one_robot_stands_at_each_view_that_is_named(tmp_path, rgbd):
     poses = (write_rgbd if rgbd else write_posed_views)(tmp_path / "set", count=5)
-    options = FleetOptions(robots=9, seconds=30, data=tmp_path / "set", views=(4, 0, 2))
+    options = FleetOptions(robots=9, seconds=30, data=(tmp_path / "set",), views=(4, 0, 2))
     plan = plan_fleet(options, tmp_path / "scratch")
     assert all(robot.options == ("--replay", "hold") for robot in plan.robots)
     for robot, index in zip(plan.robots, (4, 0, 2), strict=True):
@@ -108,7 +108,7 @@ def test_one_robot_stands_at_each_view_that_is_named(tmp_path, rgbd):
 
 def test_views_of_posed_views_show_the_operator_what_they_share(tmp_path):
     write_posed_views(tmp_path / "set", count=2, points=300)
-    options = FleetOptions(robots=2, seconds=30, data=tmp_path / "set", clouds="sparse_noisy")
+    options = FleetOptions(robots=2, seconds=30, data=(tmp_path / "set",), clouds="sparse_noisy")
     plan = plan_fleet(options, tmp_path / "scratch")
     i, j = (sent_by(robot, robot.name)[0] for robot in plan.robots)
     uv_i, uv_j = plan.truth.correspondences(i, j)
@@ -132,7 +132,7 @@ def test_too_short_a_run_is_refused(tmp_path):
 def test_a_live_fleet_on_recorded_views_is_scored(tmp_path):
     """Two robots side by side: everything from start to summary, with real processes."""
     options = FleetOptions(
-        robots=2, seconds=24, data=shared_data("church_herzjesu"), clouds="sparse_noisy", first=4
+        robots=2, seconds=24, data=(shared_data("church_herzjesu"),), clouds="sparse_noisy", first=4
     )
     summary = run(options, tmp_path / "out")
     assert summary["robots"] == 2

@@ -239,7 +239,7 @@ def test_all_icp_counts_whichever_step_asks_for_it(cloud):
         if re.search(r"import .*\bgicp\b|small_gicp\.align\b", path.read_text())
     ]
     # it is timed where these two call it
-    assert sorted(users) == ["icp.py", "refining.py", "surfaces.py"]
+    assert sorted(users) == ["icp.py", "refinement.py", "surfaces.py"]
     one = dense_cloud(cloud, 0.1)
     for module in (refinement, surfaces):
         icp = module.gicp
@@ -292,7 +292,13 @@ def test_a_separation_is_met_if_nothing_is_worse_than_the_papers_three_clicks(
 def test_ring_writes_the_columns_that_were_agreed_on(tmp_path):
     write_posed_views(tmp_path / "set", count=4)
     options = RingOptions(
-        tmp_path / "set", "sparse", "paper", clicks=(0, 3), wrong_share=0.34, draws=2, workers=1
+        tmp_path / "set",
+        "sparse",
+        recipe="paper",
+        clicks=(0, 3),
+        wrong_share=0.34,
+        draws=2,
+        workers=1,
     )
     summary = run(options, tmp_path / "out")
     ring, poses = read(tmp_path / "out" / "ring.csv"), read(tmp_path / "out" / "poses.csv")
@@ -310,6 +316,6 @@ def test_ring_writes_the_columns_that_were_agreed_on(tmp_path):
 
 def test_a_ring_is_drawn_by_the_full_recipe_also_where_it_joins_nobody(tmp_path):
     write_posed_views(tmp_path / "set", count=3)
-    options = RingOptions(tmp_path / "set", "sparse_noisy", "full", clicks=(0,), workers=1)
+    options = RingOptions(tmp_path / "set", "sparse_noisy", clicks=(0,), workers=1)
     run(options, tmp_path / "out")
     assert (tmp_path / "out" / "fleet3d.png").read_bytes().startswith(b"\x89PNG")

@@ -253,9 +253,7 @@ def question() -> Question:
 @pytest.fixture
 def operator(own_link, observer, site):
     site.show(observer, view("a", 0), view("b", 0))
-    operator = SimulatedOperator(
-        own_link, KEYS, observer, SameEverywhere(), clicks_per_minute=600, only_asked=True
-    )
+    operator = SimulatedOperator(observer, SameEverywhere(), clicks_per_minute=600, only_asked=True)
     operator.start()
     yield operator
     operator.close()
@@ -299,9 +297,7 @@ def test_a_question_is_answered_and_the_click_timed_until_the_pose(site, observe
 
 def test_an_operator_who_errs_clicks_where_the_truth_is_not(own_link, site, observer):
     site.show(observer, view("a", 0), view("b", 0))
-    operator = SimulatedOperator(
-        own_link, KEYS, observer, SameEverywhere(), 600, only_asked=True, mistakes=1.0
-    )
+    operator = SimulatedOperator(observer, SameEverywhere(), 600, only_asked=True, mistakes=1.0)
     operator.start()
     try:
         site.ask(question())

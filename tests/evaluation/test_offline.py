@@ -8,13 +8,13 @@ import pytest
 from typer.testing import CliRunner
 
 from fleetpose.evaluation.__main__ import app
-from fleetpose.evaluation.bench.offline.command import OfflineOptions, run
+from fleetpose.evaluation.bench.offline.command import run
 from fleetpose.evaluation.bench.offline.fleet import Fleet, Placed, draw_views
 from fleetpose.evaluation.bench.offline.report import summarize, worst_first
-from fleetpose.evaluation.cli.options import only_one
 from fleetpose.evaluation.data.covisibility import Sights, chained, paired_up
 from fleetpose.evaluation.data.opening import open_recording
 from fleetpose.evaluation.data.parts import checked_views
+from fleetpose.evaluation.options.fleets import FleetOptions
 from fleetpose.protocol.errors import DataFolderError, FleetPoseError
 from tests.data import shared_data
 from tests.evaluation.makers import write_posed_views, write_rgbd
@@ -97,7 +97,7 @@ def test_views_see_the_same_by_tracks_or_by_depth(tmp_path):
 
 def test_a_fleet_at_named_views_is_put_together_and_scored(tmp_path):
     """Three neighbours of a real portal, and the other end of it."""
-    options = OfflineOptions(
+    options = FleetOptions(
         (shared_data("church_herzjesu"),), "sparse_noisy", views=(4, 5, 6), workers=1
     )
     summary = run(options, tmp_path)
@@ -146,11 +146,11 @@ def played_here(tmp_path, playing) -> Fleet:
 
 def test_several_recordings_are_for_offline_fleets_only(tmp_path):
     both = [tmp_path / "one", tmp_path / "two"]
-    assert only_one("--data", None) is None and only_one("--data", both[:1]) == both[0]
+    assert FleetOptions().recording() is None
     with pytest.raises(FleetPoseError, match="only with --offline"):
-        only_one("--data", both)
+        FleetOptions(tuple(both)).recording()
     with pytest.raises(DataFolderError, match="--data"):
-        run(OfflineOptions(()), tmp_path)
+        run(FleetOptions(()), tmp_path)
 
 
 @pytest.mark.parametrize(

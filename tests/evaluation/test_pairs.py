@@ -9,6 +9,7 @@ import pytest
 
 from fleetpose.evaluation.bench.pairs.command import limited, pairs_of, run
 from fleetpose.evaluation.data.opening import open_recording
+from fleetpose.evaluation.options.recorded import PairsOptions
 from tests.data import shared_data
 from tests.evaluation.makers import write_posed_views, write_rgbd
 
@@ -50,7 +51,7 @@ def test_a_limit_takes_pairs_from_everywhere(tmp_path):
 
 def test_recorded_pairs_are_aligned_and_scored(tmp_path):
     church = shared_data("church_herzjesu")
-    summary = run(church, "sparse_noisy", tmp_path / "out", workers=2, limit=2)
+    summary = run(PairsOptions(church, "sparse_noisy", limit=2), tmp_path / "out")
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["pairs"] == 2
     assert summary["median_depth_m"] == pytest.approx(14.1, abs=0.1)
     assert summary["view_ms"] > 0
@@ -65,7 +66,7 @@ def test_recorded_pairs_are_aligned_and_scored(tmp_path):
 
 def test_rgbd_pairs_have_overlap_and_no_shared_tracks(tmp_path):
     write_rgbd(tmp_path / "set", count=2)
-    run(tmp_path / "set", None, tmp_path / "out", workers=1)
+    run(PairsOptions(tmp_path / "set", workers=1), tmp_path / "out")
     (pair,) = read(tmp_path / "out" / "pairs.csv")
     assert pair["shared"] == ""
     assert 0.8 < float(pair["overlap"]) <= 1.0  # the same wall, 10 cm aside

@@ -5,6 +5,7 @@ apart, and the folders are recordings like any other.
 import random
 import threading
 from itertools import combinations
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -14,20 +15,21 @@ from scipy.spatial import KDTree
 from fleetpose.evaluation.bench.clicks.truth import true_depth, true_pixels
 from fleetpose.evaluation.bench.pairs.worker import encode
 from fleetpose.evaluation.bench.questions.play import Task, clicks_in
-from fleetpose.evaluation.bench.synth import SynthOptions, run
-from fleetpose.evaluation.cli.options import WorldOption
+from fleetpose.evaluation.bench.synth import run
 from fleetpose.evaluation.data.anonymize import strip
 from fleetpose.evaluation.data.opening import open_recording, points_of
 from fleetpose.evaluation.data.recording import CLOUD_KINDS, shared_tracks
 from fleetpose.evaluation.metrics.geometry import inverse, transform
 from fleetpose.evaluation.metrics.scoring import Limits
+from fleetpose.evaluation.options.fleets import FleetOptions, SynthOptions, WorldOptions
+from fleetpose.evaluation.options.names import PlanName
 from fleetpose.evaluation.simulate.world import PLANS, PlanWorld
 from fleetpose.evaluation.simulate.world.plans.planned import plan_named, stations
 from fleetpose.evaluation.simulate.world.plans.things import unique_things
 from fleetpose.evaluation.simulate.world.render import Renderer
 from fleetpose.evaluation.simulate.world.robots import HEIGHT, WIDTH
-from fleetpose.evaluation.simulate.world_server import WorldOptions, WorldServer, write_truth
-from fleetpose.evaluation.system.fleet import FleetOptions, plan_fleet
+from fleetpose.evaluation.simulate.world_server import WorldServer, world_of, write_truth
+from fleetpose.evaluation.system.fleet import plan_fleet
 from fleetpose.evaluation.system.truth import WorldTruth
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.robot_agent.cameras.synthetic import mount, open_camera
@@ -134,13 +136,13 @@ def test_a_seed_is_one_world_and_another_seed_another():
 
 
 def test_every_plan_is_an_option_and_only_those():
-    assert {option.value for option in WorldOption} == set(PLANS)
+    assert set(get_args(PlanName)) == set(PLANS)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("plan") / "facade"
-    run(out, SynthOptions(robots=4, seed=2, plan="facade", unique=2), workers=1)
+    run(SynthOptions(robots=4, seed=2, workers=1, plan="facade", unique=2), out)
     return out
 
 
@@ -186,13 +188,13 @@ def test_what_cannot_be_is_said(tmp_path):
         (SynthOptions(robots=8, plan="labyrinth"), "facade"),
     ):
         with pytest.raises(FleetPoseError, match=words):
-            run(tmp_path / "none", options)
+            run(options, tmp_path / "none")
     assert not (tmp_path / "none").exists()
 
 
 def test_a_plan_is_served_live_with_its_own_rig_and_its_truth(tmp_path):
     options = WorldOptions(robots=3, seed=2, plan="corridor", unique=4)
-    world = options.world()
+    world = world_of(options)
     write_truth(world, tmp_path / "truth")
     truth = WorldTruth(tmp_path / "truth", {"a": "r1", "b": "r3"})
     assert np.allclose(truth._content()["T_world_robots"]["r3"], world.T_world_robot("r3"))
@@ -216,19 +218,19 @@ def test_a_plan_is_served_live_with_its_own_rig_and_its_truth(tmp_path):
 
 
 def test_a_fleet_in_a_plan_starts_a_world_of_that_plan(tmp_path):
-    options = FleetOptions(3, 30.0, world="facade", unique=7, seed=5)
+    options = FleetOptions(robots=3, seconds=30.0, world="facade", unique=7, seed=5)
     world = " ".join(plan_fleet(options, tmp_path).world)
     assert "--plan facade --unique 7" in world
     assert "--seed 5" in world
     for wrong in (
-        FleetOptions(3, 30.0, world="facade", moving=True),
-        FleetOptions(3, 30.0, unique=7),
-        FleetOptions(3, 30.0, world="facade", data=tmp_path),
+        FleetOptions(robots=3, seconds=30.0, world="facade", moving=True),
+        FleetOptions(robots=3, seconds=30.0, unique=7),
+        FleetOptions(robots=3, seconds=30.0, world="facade", data=(tmp_path,)),
     ):
         with pytest.raises(FleetPoseError, match="--world"):
             plan_fleet(wrong, tmp_path)
     with pytest.raises(FleetPoseError, match="stand still"):
-        WorldOptions(robots=3, plan="facade", turning=("r2",)).world()
+        world_of(WorldOptions(robots=3, plan="facade", turning=("r2",)))
 
 
 def test_questions_are_answered_on_anything_with_contrast_and_wrongly_if_asked_to(folder, tmp_path):

@@ -90,7 +90,7 @@ def test_recordings_by_a_depth_camera_are_judged_against_their_own_noise(tmp_pat
     write_rgbd(tmp_path / "walk", count=3)
     write_posed_views(tmp_path / "set", count=3)
     both = (tmp_path / "set", tmp_path / "walk")
-    options = RestartsOptions(1, 2, data=both, clouds="sparse_noisy", workers=1, offline=True)
+    options = RestartsOptions(both, "sparse_noisy", restarts=1, robots=2, workers=1, offline=True)
     summary = run(options, tmp_path / "out")
     noise = {one["set"]: one["reference_sigma_m"] for one in summary["sets"]}
     assert noise == {"set": 0.0, "walk": 0.05}

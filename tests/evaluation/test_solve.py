@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fleetpose.evaluation.bench.solve import make_up, mean_error_m, read_g2o, run, run_recorded
+from fleetpose.evaluation.options.recorded import SolveOptions
 from fleetpose.pose_server.pose_graph.graph import solve_fleet
 from fleetpose.protocol.errors import DataFolderError, FleetPoseError
 from tests.data import shared_data
@@ -16,7 +17,7 @@ EDGE_SE3:QUAT 6989586621679009792 7061644215716937728 1 2 3 0 0 0 1 \
 
 
 def test_wrong_edges_are_found_and_cost_nothing(tmp_path):
-    summary = run(30, 160, 0.3, tmp_path)
+    summary = run(SolveOptions(30, 160, 0.3), tmp_path)
     assert summary["located"] >= 28  # one of which one edge says this and one that is not
     assert summary["wrong"] == 48
     assert summary["wrong_found"] >= 46
@@ -33,7 +34,7 @@ def test_a_made_up_fleet_without_wrong_edges_is_solved_to_its_noise():
 @pytest.mark.parametrize("edges", [5, 10_000])
 def test_impossible_numbers_of_edges_are_refused(edges, tmp_path):
     with pytest.raises(FleetPoseError, match="--edges"):
-        run(10, edges, 0.0, tmp_path)
+        run(SolveOptions(10, edges, 0.0), tmp_path)
 
 
 def test_a_g2o_edge_keeps_its_pose_and_its_sigmas(tmp_path):

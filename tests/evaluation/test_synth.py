@@ -18,7 +18,7 @@ from tests.evaluation.test_strip import assert_no_truth
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("synth") / "ring"
-    run(out, SynthOptions(robots=8), workers=1)
+    run(SynthOptions(robots=8, workers=1), out)
     return out
 
 
@@ -67,4 +67,4 @@ def test_every_kind_of_cloud_can_be_stripped_and_no_truth_is_left(folder, tmp_pa
 
 def test_a_folder_with_views_is_not_overwritten(folder):
     with pytest.raises(FleetPoseError, match="new folder"):
-        run(folder, SynthOptions(robots=8))
+        run(SynthOptions(robots=8), folder)

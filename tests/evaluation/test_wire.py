@@ -10,6 +10,7 @@ import pytest
 
 from fleetpose.evaluation.bench import wire
 from fleetpose.evaluation.data.opening import open_recording
+from fleetpose.evaluation.options.recorded import WireOptions
 
 
 @pytest.fixture
@@ -30,7 +31,7 @@ def rgbd(tmp_path):
 
 
 def test_a_run_writes_every_codec_and_finds_ours_lossless(rgbd, tmp_path):
-    summary = wire.run(rgbd, None, tmp_path / "out", limit=2)
+    summary = wire.run(WireOptions(rgbd, views=2), tmp_path / "out")
     with (tmp_path / "out" / "wire.csv").open() as file:
         rows = {row["codec"]: row for row in csv.DictReader(file)}
     assert {"raw_float32_xyz", "raw_uint16_mm", "png16_level3", "fleetpose"} <= set(rows)

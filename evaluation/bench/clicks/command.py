@@ -1,8 +1,6 @@
 """`pose-eval clicks`: all pairs of views within a range of angles, clicked in by chance."""
 
-import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,50 +11,15 @@ from fleetpose.evaluation.bench.clicks.truth import true_pixels
 from fleetpose.evaluation.bench.clicks.worker import ClickedAnswer, Plan, Task, run_task
 from fleetpose.evaluation.bench.pairs.command import limited, pairs_of
 from fleetpose.evaluation.bench.ring.solving import solve_ring
-from fleetpose.evaluation.bench.working import as_done, on_the_wire, worker_pool
-from fleetpose.evaluation.data.opening import median_depth_m, open_recording
-from fleetpose.evaluation.data.recording import CloudKind, Recording, TrueView, shared_tracks
+from fleetpose.evaluation.bench.working import bench_of
+from fleetpose.evaluation.data.opening import median_depth_m
+from fleetpose.evaluation.data.recording import Recording, TrueView, shared_tracks
 from fleetpose.evaluation.metrics.scoring import Limits, optical_angle_deg, share
-from fleetpose.evaluation.report.output import (
-    output_folder,
-    print_table,
-    progress_bar,
-    write_summary,
-)
+from fleetpose.evaluation.options.recorded import ClicksOptions
+from fleetpose.evaluation.report.output import output_folder, write_summary
 from fleetpose.protocol.errors import DataFolderError, FleetPoseError
 
 _RESAMPLED = 1000
-
-
-@dataclass(frozen=True)
-class ClicksOptions:
-    """What `pose-eval clicks` is asked for.
-
-    Attributes:
-        clicks, wrong: per pair, and how many of them are 50 px off.
-        angles_deg: between the optical axes, from and below.
-        min_shared: points that both views must see, where the recording has tracks.
-        draws: of clicks per pair.
-        limit: so many pairs at most.
-        consistent_wrong_m: all clicks are so far along the surface off instead, from `clicks` to
-            `most_clicks` of them; `permuted`: four points of a plane are, in every wrong order.
-        automatic: of these two, whether the server has aligned the pair by itself before.
-    """
-
-    data: Path
-    clouds: CloudKind | None = None
-    clicks: int = 3
-    wrong: int = 0
-    angles_deg: tuple[float, float] = (40.0, 90.0)
-    min_shared: int = 30
-    draws: int = 20
-    limit: int | None = None
-    workers: int = 2
-    seed: int = 0
-    consistent_wrong_m: float = 0.0
-    most_clicks: int = 0
-    permuted: bool = False
-    automatic: bool = False
 
 
 def run(options: ClicksOptions, out: Path) -> dict[str, Any]:
@@ -66,41 +29,36 @@ def run(options: ClicksOptions, out: Path) -> dict[str, Any]:
         FleetPoseError: the data cannot be used, no pair is in the range, or more clicks were to be
             wrong than there are.
     """
-    if options.wrong > options.clicks:
-        raise FleetPoseError(f"--wrong {options.wrong}: of {options.clicks} clicks at most all are")
-    recording = open_recording(options.data, options.clouds)
+    count, most = options.clicks
+    if count < most:
+        raise FleetPoseError(f"--clicks {count}..{most}: from..to goes with --consistent-wrong")
+    if options.wrong > count:
+        raise FleetPoseError(f"--wrong {options.wrong}: of {count} clicks at most all are")
+    recording = options.recording()
     pairs = {(i.index, j.index): (i, j) for i, j in pairs_in_range(recording, options)}
     output_folder(out)
     depth_m = median_depth_m(recording)
     limits = Limits.of(depth_m, recording.is_rgbd)
     rows: list[ClickRow] = []
-    with (
-        tempfile.TemporaryDirectory(prefix="fleetpose-") as folder,
-        worker_pool(options.workers) as pool,
-        progress_bar() as progress,
-    ):
-        views = {view.index: view for pair in pairs.values() for view in pair}
-        wires, _ = on_the_wire(recording, list(views.values()), Path(folder), pool, progress)
-        plans = (Plan(options.clicks, options.wrong),)
+    with bench_of(options.workers) as bench:
+        wires, _ = bench.on_the_wire(recording, [view for pair in pairs.values() for view in pair])
+        plans = (Plan(count, options.wrong),)
         jobs = []
         for (i, j), pair in pairs.items():
             true = true_pixels(recording, *pair)
-            for draw in range(options.draws if options.clicks else 1):
+            for draw in range(options.draws if count else 1):
                 seed = (options.seed, i, j, draw)
                 task = Task(wires[i], wires[j], true, plans, "full", seed)
                 jobs.append(((pair, draw), (_aligned_and_judged, task, pair, depth_m)))
-        bar = progress.add_task("draws", total=len(jobs))
-        for (pair, draw), (clicked, is_named) in as_done(pool, jobs, 2 * options.workers + 2):
+        for (pair, draw), (clicked, is_named) in bench.as_done("draws", jobs):
             shared = shared_tracks(recording, *pair)
-            row = click_row(pair, options.clicks, draw, clicked, limits, shared)
+            row = click_row(pair, count, draw, clicked, limits, shared)
             row.named = is_named
             rows.append(row)
-            progress.advance(bar)
     rows.sort(key=lambda row: (row.i, row.j, row.draw))
     write_rows(out, rows)
     summary = {"median_depth_m": depth_m, **summarize(rows, options.seed)}
-    write_summary(out, summary)
-    print_table("clicks", ("", ""), list(summary.items()))
+    write_summary(out, summary, "clicks")
     return summary
 
 

@@ -2,43 +2,31 @@
 the server's own site: is anybody located by them, is it told, and do right ones win afterwards?
 """
 
-import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fleetpose.evaluation.bench.clicks.click_noise import Clicked, right_clicks
-from fleetpose.evaluation.bench.clicks.command import ClicksOptions, pairs_in_range
+from fleetpose.evaluation.bench.clicks.command import pairs_in_range
 from fleetpose.evaluation.bench.clicks.deceptive import (
     corners_in_order,
     in_other_orders,
     one_step_along,
 )
 from fleetpose.evaluation.bench.clicks.truth import true_pixels
-from fleetpose.evaluation.bench.clicks.worker import kept, takes
+from fleetpose.evaluation.bench.clicks.worker import kept, sizes_of, takes
 from fleetpose.evaluation.bench.questions.play import aligned
 from fleetpose.evaluation.bench.questions.server import FleetServer
-from fleetpose.evaluation.bench.working import as_done, on_the_wire, worker_pool
-from fleetpose.evaluation.data.opening import median_depth_m, open_recording
+from fleetpose.evaluation.bench.working import bench_of
+from fleetpose.evaluation.data.opening import median_depth_m
 from fleetpose.evaluation.data.recording import Recording, TrueView
-from fleetpose.evaluation.metrics.geometry import Floats, inverse
-from fleetpose.evaluation.metrics.scoring import (
-    Limits,
-    optical_angle_deg,
-    position_error_m,
-    rotation_error_deg,
-    share,
-)
-from fleetpose.evaluation.report.output import (
-    output_folder,
-    print_table,
-    progress_bar,
-    write_csv,
-    write_summary,
-)
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.metrics.scoring import Limits, optical_angle_deg, pose_errors, share
+from fleetpose.evaluation.options.recorded import ClicksOptions
+from fleetpose.evaluation.report.output import output_folder, write_csv, write_summary
 
 RIGHT_CLICKS = 3
 """That the operator adds when it is told."""
@@ -106,19 +94,14 @@ def run(options: ClicksOptions, out: Path) -> dict[str, Any]:
     Raises:
         FleetPoseError: the data cannot be used, or no pair is in the range.
     """
-    recording = open_recording(options.data, options.clouds)
+    recording = options.recording()
     pairs = pairs_in_range(recording, options)
     output_folder(out)
     limits = Limits.of(median_depth_m(recording), recording.is_rgbd)
     rows: list[Deceived] = []
     missing = 0
-    with (
-        tempfile.TemporaryDirectory(prefix="fleetpose-") as folder,
-        worker_pool(options.workers) as pool,
-        progress_bar() as progress,
-    ):
-        views = {view.index: view for pair in pairs for view in pair}
-        wires, _ = on_the_wire(recording, list(views.values()), Path(folder), pool, progress)
+    with bench_of(options.workers) as bench:
+        wires, _ = bench.on_the_wire(recording, [view for pair in pairs for view in pair])
         jobs = []
         for i, j in pairs:
             for draw in range(options.draws):
@@ -127,23 +110,19 @@ def run(options: ClicksOptions, out: Path) -> dict[str, Any]:
                     (wires[i.index], wires[j.index]),
                     (i, j),
                     options.consistent_wrong_m,
-                    (options.clicks, options.most_clicks),
+                    options.clicks,
                     options.automatic,
                     limits,
                     (options.seed, i.index, j.index, draw),
                 )
                 jobs.append((None, (deceive, task)))
-        bar = progress.add_task("draws", total=len(jobs))
-        for _, found in as_done(pool, jobs, 2 * options.workers + 2):
+        for _, found in bench.as_done("draws", jobs):
             rows += found
             missing += not found
-            progress.advance(bar)
     rows.sort(key=lambda row: (row.i, row.j, row.draw))
-    columns = [field.name for field in fields(Deceived)]
-    write_csv(out / "deceived.csv", columns, [asdict(row) for row in rows])
+    write_csv(out / "deceived.csv", Deceived, rows)
     summary = {"grave_m": limits.grave_m, "no_draw": missing, **summarize(rows)}
-    write_summary(out, summary)
-    print_table("clicks that deceive", ("", ""), list(summary.items()))
+    write_summary(out, summary, "clicks that deceive")
     return summary
 
 
@@ -177,8 +156,7 @@ def deceive(task: Task) -> list[Deceived]:
     else:
         right = corners_in_order(task.recording, task.pair, true, rng, takes(views))
         sets = [] if right is None else in_other_orders(right)
-    sizes = tuple((view.camera.width, view.camera.height) for view in views)
-    later = right_clicks(true, RIGHT_CLICKS, rng, (sizes[0], sizes[1]), takes(views))
+    later = right_clicks(true, RIGHT_CLICKS, rng, sizes_of(views), takes(views))
     if len(later) < RIGHT_CLICKS:
         return []
     return [_played(task, wrong, later) for wrong in sets]
@@ -261,7 +239,5 @@ def _standing(task: Task, server: FleetServer) -> _Standing:
     located = len(server.located_cameras()) == len(task.pair)
     if T is None:
         return _Standing(None, False, located)
-    T_true = inverse(task.pair[0].T_world_camera) @ task.pair[1].T_world_camera
-    T = np.asarray(T, np.float64)
-    error_m = position_error_m(T_true, T)
-    return _Standing(error_m, task.limits.grave(error_m, rotation_error_deg(T_true, T)), located)
+    errors = pose_errors(task.pair[0].T_to(task.pair[1]), np.asarray(T, np.float64))
+    return _Standing(errors[0], task.limits.grave(*errors), located)

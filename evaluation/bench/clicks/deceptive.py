@@ -14,7 +14,7 @@ import numpy.typing as npt
 from fleetpose.evaluation.bench.clicks.click_noise import Clicked, Lift
 from fleetpose.evaluation.data.opening import points_of
 from fleetpose.evaluation.data.recording import Recording, TrueView
-from fleetpose.evaluation.metrics.geometry import Floats, inverse, transform
+from fleetpose.evaluation.metrics.geometry import Floats, transform
 from fleetpose.evaluation.simulate.operator import CLICK_SIGMA_PX, far_apart
 
 _TRIED_PER_CLICK = 6
@@ -52,7 +52,7 @@ def one_step_along(
     some = rng.permutation(len(points))[:_POINTS]
     uv_i, points = uv_i[some], points[some]
     step = metres * rng.choice((-1.0, 1.0)) * _along(points)
-    there = transform(inverse(j.T_world_camera) @ i.T_world_camera, points + step)
+    there = transform(j.T_to(i), points + step)
     uvw = there @ j.K.T
     uv_j = uvw[:, :2] / np.where(there[:, 2:] > 0, uvw[:, 2:], np.nan)
     inside = (there[:, 2] > 0) & ((uv_j >= 0) & (uv_j <= (j.width - 1, j.height - 1))).all(axis=1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from fleetpose.evaluation.data.recording import Recording, TrueView
 from fleetpose.evaluation.data.rgbd import read_depth
-from fleetpose.evaluation.metrics.geometry import Floats, inverse
+from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.evaluation.simulate.operator import by_depth_images, by_tracks
 
 DEPTH_FOLDER = "depth"
@@ -24,9 +24,8 @@ def true_pixels(recording: Recording, i: TrueView, j: TrueView) -> tuple[Floats,
     """
     depth_i, depth_j = true_depth(recording, i), true_depth(recording, j)
     if depth_i is not None and depth_j is not None:
-        T_j_i = inverse(j.T_world_camera) @ i.T_world_camera
         uv_i = with_contrast(i.image, (i.width, i.height))
-        return by_depth_images(uv_i, depth_i, depth_j, i.K, j.K, T_j_i)
+        return by_depth_images(uv_i, depth_i, depth_j, i.K, j.K, j.T_to(i))
     tracks_i, tracks_j = recording.tracks(i), recording.tracks(j)
     if tracks_i is None or tracks_j is None:
         return np.zeros((0, 2)), np.zeros((0, 2))

@@ -15,7 +15,14 @@ import numpy.typing as npt
 
 from fleetpose.evaluation.bench.clicks import click_noise
 from fleetpose.evaluation.bench.clicks.click_noise import Clicked
-from fleetpose.evaluation.bench.pairs.worker import Answer, answer_of, of_wide, prepared, widen
+from fleetpose.evaluation.bench.pairs.worker import (
+    Answer,
+    answer_of,
+    of_wide,
+    prepared,
+    timed,
+    widen,
+)
 from fleetpose.evaluation.metrics.geometry import Floats
 
 if TYPE_CHECKING:
@@ -84,17 +91,17 @@ class ClickedAnswer:
 def run_task(task: Task) -> list[ClickedAnswer]:
     """Clicks and aligns for each plan of a task, in their order."""
     views = (kept(task.wire_i), kept(task.wire_j))
-    sizes = tuple((view.camera.width, view.camera.height) for view in views)
+    sizes = sizes_of(views)
     rng = np.random.default_rng(task.seed)
     most = max(plan.clicks for plan in task.plans)
-    clicked = click_noise.right_clicks(task.true, most, rng, (sizes[0], sizes[1]), takes(views))
+    clicked = click_noise.right_clicks(task.true, most, rng, sizes, takes(views))
     answers = []
     for plan in task.plans:
         some = clicked.first(plan.clicks)
         if plan.wrong:
             own = np.random.default_rng((*task.seed, plan.clicks))
             lift = takes(views)
-            some = click_noise.with_wrong(some, plan.wrong, own, (sizes[0], sizes[1]), lift)
+            some = click_noise.with_wrong(some, plan.wrong, own, sizes, lift)
         answers.append(_answered(task, views, some))
     return answers
 
@@ -122,13 +129,11 @@ def by_paper(wire_i: Path, wire_j: Path, at_i: Lifted, at_j: Lifted) -> tuple[An
 
     _prepare_paper(wire_i, wire_j)
     (i, _), (j, _) = prepared(wire_i), prepared(wire_j)
-    began = time.perf_counter()
-    start = linear_start(at_i.p, at_j.p)
-    found = by_icp(i, j, start.T_i_j)
-    align_ms = 1e3 * (time.perf_counter() - began)
+    start, start_ms = timed(lambda: linear_start(at_i.p, at_j.p))
+    found, found_ms = timed(lambda: by_icp(i, j, start.T_i_j))
     T = np.asarray(start.T_i_j if found is None else found.T_i_j, np.float64)
     icp_ms = 0.0 if found is None else found.report.ms
-    return Answer(T, None, "", (), start.model, 0, align_ms), icp_ms
+    return Answer(T, None, "", (), start.model, 0, start_ms + found_ms), icp_ms
 
 
 def by_server(wire_i: Path, wire_j: Path, at_i: Lifted, at_j: Lifted) -> tuple[Answer, float]:
@@ -139,17 +144,13 @@ def by_server(wire_i: Path, wire_j: Path, at_i: Lifted, at_j: Lifted) -> tuple[A
     _prepare(wire_i, wire_j)
     job = as_job(wire_i, wire_j, at_i, at_j)
     with timed_icp() as icp:
-        began = time.perf_counter()
-        result = run_job(job)
-        align_ms = 1e3 * (time.perf_counter() - began)
+        result, align_ms = timed(lambda: run_job(job))
     if is_settled(result):
         return answer_of(result, align_ms), icp.ms
-    job = replace(job, i=with_wide(job.i, wire_i), j=with_wide(job.j, wire_j))
+    wide = replace(job, i=with_wide(job.i, wire_i), j=with_wide(job.j, wire_j))
     with timed_icp() as wide_icp:
-        began = time.perf_counter()
-        result = run_job(job)
-        align_ms += 1e3 * (time.perf_counter() - began)
-    return answer_of(result, align_ms, wide=True), icp.ms + wide_icp.ms
+        result, wide_ms = timed(lambda: run_job(wide))
+    return answer_of(result, align_ms + wide_ms, wide=True), icp.ms + wide_icp.ms
 
 
 @dataclass
@@ -245,6 +246,12 @@ def kept(wire: Path) -> "KeptView":
     from fleetpose.pose_server.state.views import open_view
 
     return open_view(wire.read_bytes(), None, 0.0)
+
+
+def sizes_of(views: Sequence["KeptView"]) -> tuple[click_noise.Size, click_noise.Size]:
+    """Widths and heights of two views."""
+    i, j = (view.camera for view in views)
+    return (i.width, i.height), (j.width, j.height)
 
 
 def takes(views: Sequence["KeptView"]) -> click_noise.Lift:

@@ -14,9 +14,7 @@ Compared are, in the world, with the anchor's camera where it truly is:
   apart true points are. No poses are better than that.
 """
 
-import tempfile
-import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -25,38 +23,17 @@ from fleetpose.evaluation.bench.mapping.memory import Peak, peak_memory
 from fleetpose.evaluation.bench.mapping.truth import at_true_poses, true_cloud, world_from_fleet
 from fleetpose.evaluation.bench.offline.fleet import MOST_JOBS_PER_PAIR, remembering
 from fleetpose.evaluation.bench.offline.server import OfflineServer
-from fleetpose.evaluation.bench.working import on_the_wire, worker_pool
+from fleetpose.evaluation.bench.pairs.worker import timed
+from fleetpose.evaluation.bench.working import bench_of
 from fleetpose.evaluation.data.opening import median_depth_m, open_recording
 from fleetpose.evaluation.data.parts import parts_of
-from fleetpose.evaluation.data.recording import CloudKind, Recording, TrueView
-from fleetpose.evaluation.report.output import (
-    output_folder,
-    print_table,
-    progress_bar,
-    write_summary,
-)
+from fleetpose.evaluation.data.recording import Recording, TrueView
+from fleetpose.evaluation.options.recorded import MapOptions
+from fleetpose.evaluation.report.output import output_folder, print_table, write_summary
 from fleetpose.pose_server.geometry.se3 import transform
 from fleetpose.pose_server.mapping.files import MapFiles
 from fleetpose.pose_server.mapping.located import located_views, map_of, map_of_views
 from fleetpose.pose_server.mapping.merging import FleetMap
-
-
-@dataclass(frozen=True)
-class MapOptions:
-    """What `pose-eval map` is asked for.
-
-    Attributes:
-        first: the first of consecutive views; of a depth camera's walk the first frames of as many
-            equal stretches are taken.
-        voxel_m: edge of the map's voxels; what suits the cameras if not told.
-    """
-
-    data: Path
-    clouds: CloudKind | None = None
-    robots: int = 8
-    first: int = 0
-    voxel_m: float | None = None
-    workers: int = 2
 
 
 def run(options: MapOptions, out: Path) -> dict[str, Any]:
@@ -73,10 +50,8 @@ def run(options: MapOptions, out: Path) -> dict[str, Any]:
     server = _put_together(recording, [part[0] for part in parts], options.workers)
     true = {name: recording.view(index) for name, index in server.views.items()}
     server.poses()  # which says who is located
-    start = time.perf_counter()
     with peak_memory() as peak:
-        scene = map_of(server.site, server.settings, options.voxel_m)
-    merge_ms = 1e3 * (time.perf_counter() - start)
+        scene, merge_ms = timed(lambda: map_of(server.site, server.settings, options.voxel_m))
     files.write(scene)
     summary = _summary(recording, server, true, scene.fleet_map)
     summary |= {
@@ -97,17 +72,13 @@ def run(options: MapOptions, out: Path) -> dict[str, Any]:
 def _put_together(recording: Recording, views: list[TrueView], workers: int) -> OfflineServer:
     """A server that has aligned and solved all there was."""
     pairs = len(views) * (len(views) - 1) // 2
-    with (
-        tempfile.TemporaryDirectory(prefix="fleetpose-") as folder,
-        worker_pool(workers) as pool,
-        progress_bar() as progress,
-    ):
-        wires, _ = on_the_wire(recording, views, Path(folder), pool, progress, seed=0)
-        bar = progress.add_task("alignments, some more than once", total=pairs)
-        align = remembering(Path(folder))
+    with bench_of(workers) as bench:
+        wires, _ = bench.on_the_wire(recording, views, seed=0)
+        bar = bench.progress.add_task("alignments, some more than once", total=pairs)
+        align = remembering(bench.folder)
 
         def counted(job: Any) -> Any:
-            progress.advance(bar)
+            bench.progress.advance(bar)
             return align(job)
 
         server = OfflineServer(wires, counted)

@@ -11,20 +11,19 @@ CLOSEST = 8
 UNSOLVED, UNSOLVED_PER_VIEW = 24, 4
 UNSOLVED_BELOW_DEG = 60.0
 MIN_SHARED, MIN_OVERLAP = 30, 0.2
+_TOLD = ("i", "j", "verdict", "angle_deg", "shared", "overlap", "position_error_m")
+_TOLD += ("rotation_error_deg", "ok", "grave", "inliers", "start")
 
 
 def closest_calls(rows: Sequence[PairRow], limits: Limits) -> dict[str, list[dict[str, Any]]]:
     """The verified answers with the largest errors, and the grave ones with the most support."""
     verified = [row for row in rows if row.verdict == "verified"]
     grave = [row for row in rows if row.grave]
+    verified.sort(key=lambda row: -badness(row, limits))
+    grave.sort(key=lambda row: -row.inliers)
     return {
-        "verified_largest_error": [
-            _call(row, limits)
-            for row in sorted(verified, key=lambda row: -badness(row, limits))[:CLOSEST]
-        ],
-        "grave_most_support": [
-            _call(row, limits) for row in sorted(grave, key=lambda row: -row.inliers)[:CLOSEST]
-        ],
+        "verified_largest_error": [_call(row, limits) for row in verified[:CLOSEST]],
+        "grave_most_support": [_call(row, limits) for row in grave[:CLOSEST]],
     }
 
 
@@ -65,22 +64,8 @@ def unsolved(rows: Sequence[PairRow], rgbd: bool) -> list[PairRow]:
 
 
 def _call(row: PairRow, limits: Limits) -> dict[str, Any]:
-    fields = (
-        "i",
-        "j",
-        "verdict",
-        "angle_deg",
-        "shared",
-        "overlap",
-        "position_error_m",
-        "rotation_error_deg",
-        "ok",
-        "grave",
-        "inliers",
-        "start",
-    )
     return {
-        **{field: getattr(row, field) for field in fields},
+        **{field: getattr(row, field) for field in _TOLD},
         "share_of_grave": badness(row, limits),
         "nees_per_dof": None if (nees := row.nees()) is None else nees / 6,
     }

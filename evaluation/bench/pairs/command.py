@@ -6,9 +6,7 @@ wire, the server's preparation, the alignment.
 
 import itertools
 import random
-import tempfile
 from collections.abc import Collection
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -17,83 +15,43 @@ import numpy as np
 from fleetpose.evaluation.bench.pairs.report import write_results
 from fleetpose.evaluation.bench.pairs.row import PairRow
 from fleetpose.evaluation.bench.pairs.worker import Answer, align, prepare_ms, true_overlap
-from fleetpose.evaluation.bench.working import as_done, on_the_wire, worker_pool
-from fleetpose.evaluation.data.opening import median_depth_m, open_recording
-from fleetpose.evaluation.data.recording import (
-    CloudKind,
-    Recording,
-    TrueView,
-    are_partners,
-    shared_tracks,
-)
-from fleetpose.evaluation.metrics.geometry import inverse
-from fleetpose.evaluation.metrics.scoring import (
-    Limits,
-    optical_angle_deg,
-    position_error_m,
-    rotation_error_deg,
-)
-from fleetpose.evaluation.report.output import output_folder, progress_bar
+from fleetpose.evaluation.bench.working import Bench, bench_of
+from fleetpose.evaluation.data.opening import median_depth_m
+from fleetpose.evaluation.data.recording import Recording, TrueView, are_partners, shared_tracks
+from fleetpose.evaluation.metrics.scoring import Limits, optical_angle_deg, pose_errors
+from fleetpose.evaluation.options.recorded import PairsOptions
+from fleetpose.evaluation.report.output import output_folder
 
 TILE = 16  # pairs are done in squares of so many views, so that the caches serve
 
 
-def run(
-    data: Path,
-    clouds: CloudKind | None,
-    out: Path,
-    workers: int = 2,
-    limit: int | None = None,
-    mirror_share: float = 0.0,
-    images: bool = True,
-) -> dict[str, Any]:
+def run(options: PairsOptions, out: Path) -> dict[str, Any]:
     """Aligns all pairs; writes tables, plots and a report; returns the summary.
-
-    Args:
-        data: a posed-views or RGB-D folder.
-        clouds: kind of clouds, for posed views.
-        out: folder for the results.
-        workers: processes.
-        limit: take that many pairs only, chosen evenly.
-        mirror_share: share of the views whose cameras flip their images.
-        images: whether robots have images beside their clouds.
 
     Raises:
         FleetPoseError: the data cannot be used, or the folder cannot be made.
     """
-    recording = open_recording(data, clouds)
-    pairs = limited(pairs_of(recording), limit)
+    recording = options.recording()
+    pairs = limited(pairs_of(recording), options.limit)
     output_folder(out)
     median_m = median_depth_m(recording)
-    with (
-        tempfile.TemporaryDirectory(prefix="fleetpose-") as folder,
-        worker_pool(workers) as pool,
-        progress_bar() as progress,
-    ):
+    with bench_of(options.workers) as bench:
         views = {view.index: view for pair in pairs for view in pair}
-        flipped = mirrored_views(views, mirror_share)
+        flipped = mirrored_views(views, options.mirror_share)
         # two such cameras see one mirrored world, of which the recording's truth says nothing
         pairs = [(i, j) for i, j in pairs if not {i.index, j.index} <= flipped]
-        wires, robot_ms = on_the_wire(
-            recording,
-            list(views.values()),
-            Path(folder),
-            pool,
-            progress,
-            mirrored=flipped,
-            images=images,
+        wires, robot_ms = bench.on_the_wire(
+            recording, views.values(), mirrored=flipped, images=options.images
         )
-        server_ms = list(pool.map(prepare_ms, wires.values()))
+        server_ms = list(bench.pool.map(prepare_ms, wires.values()))
         limits = Limits.of(median_m, recording.is_rgbd)
-        task = progress.add_task("pairs", total=len(pairs))
         rows = []
-        jobs = ((pair, (align, wires[pair[0].index], wires[pair[1].index])) for pair in pairs)
-        for (i, j), answer in as_done(pool, jobs, in_flight=2 * workers + 2):
+        jobs = [(pair, (align, wires[pair[0].index], wires[pair[1].index])) for pair in pairs]
+        for (i, j), answer in bench.as_done("pairs", jobs):
             row = scored(i, j, answer, limits)
             row.mirrored = (i.index in flipped) != (j.index in flipped)
             rows.append(row)
-            progress.advance(task)
-        _add_shared_or_overlap(recording, rows, pool, progress)
+        _add_shared_or_overlap(recording, rows, bench)
     rows.sort(key=lambda row: (row.i, row.j))
     view_ms = [robot + server for robot, server in zip(robot_ms, server_ms, strict=True)]
     return write_results(out, recording, rows, median_m, view_ms)
@@ -126,13 +84,7 @@ def limited(
 
 def scored(i: TrueView, j: TrueView, answer: Answer, limits: Limits) -> PairRow:
     """An answer beside the truth."""
-    T_i_j_true = inverse(i.T_world_camera) @ j.T_world_camera
-    position = rotation = None
-    ok = grave = False
-    if answer.T_i_j is not None:
-        position = position_error_m(T_i_j_true, answer.T_i_j)
-        rotation = rotation_error_deg(T_i_j_true, answer.T_i_j)
-        ok, grave = limits.ok(position, rotation), limits.grave(position, rotation)
+    errors = None if answer.T_i_j is None else pose_errors(i.T_to(j), answer.T_i_j)
     return PairRow(
         i=i.index,
         j=j.index,
@@ -140,12 +92,12 @@ def scored(i: TrueView, j: TrueView, answer: Answer, limits: Limits) -> PairRow:
         align_ms=answer.align_ms,
         T_i_j=answer.T_i_j,
         covariance=answer.covariance,
-        T_i_j_true=T_i_j_true,
+        T_i_j_true=i.T_to(j),
         angle_deg=optical_angle_deg(i.T_world_camera, j.T_world_camera),
-        position_error_m=position,
-        rotation_error_deg=rotation,
-        ok=ok,
-        grave=grave,
+        position_error_m=errors and errors[0],
+        rotation_error_deg=errors and errors[1],
+        ok=errors is not None and limits.ok(*errors),
+        grave=errors is not None and limits.grave(*errors),
         start=answer.start,
         inliers=answer.inliers,
         reasons="; ".join(answer.reasons),
@@ -156,16 +108,12 @@ def scored(i: TrueView, j: TrueView, answer: Answer, limits: Limits) -> PairRow:
     )
 
 
-def _add_shared_or_overlap(
-    recording: Recording, rows: list[PairRow], pool: ProcessPoolExecutor, progress: Any
-) -> None:
+def _add_shared_or_overlap(recording: Recording, rows: list[PairRow], bench: Bench) -> None:
     """Posed views: track ids in common. Dense depth: overlap, which takes a while."""
     views = {view.index: view for view in recording.views}
     for row in rows:
         row.shared = shared_tracks(recording, views[row.i], views[row.j])
     if recording.is_rgbd or recording.clouds == "stereo_dense":
-        task = progress.add_task("overlap", total=len(rows))
-        jobs = ((row, (true_overlap, views[row.i], views[row.j], row.T_i_j_true)) for row in rows)
-        for row, value in as_done(pool, jobs, in_flight=8):
+        jobs = [(row, (true_overlap, views[row.i], views[row.j], row.T_i_j_true)) for row in rows]
+        for row, value in bench.as_done("overlap", jobs, in_flight=8):
             row.overlap = value
-            progress.advance(task)

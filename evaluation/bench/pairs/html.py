@@ -15,7 +15,7 @@ from fleetpose.evaluation.bench.pairs.calls import (
 from fleetpose.evaluation.bench.pairs.pictures import side_by_side
 from fleetpose.evaluation.bench.pairs.row import PairRow
 from fleetpose.evaluation.data.recording import Recording
-from fleetpose.evaluation.report.output import cell
+from fleetpose.evaluation.report.output import cell, scalars
 
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 1000px; color: #222 }
@@ -37,17 +37,13 @@ def write_html(
     plots: Mapping[str, Path],
 ) -> None:
     """Writes the report: shares, plots, closest calls, and the pairs that were not solved."""
-    title = f"Pairs of {recording.directory.name}" + (
-        f", {recording.clouds}" if recording.clouds else ""
-    )
+    of_clouds = f", {recording.clouds}" if recording.clouds else ""
+    title = f"Pairs of {recording.directory.name}{of_clouds}"
     parts = [
         f"<h1>{escape(title)}</h1>",
         *_shares(summary),
         "<h2>Numbers</h2>",
-        _table(
-            ("", ""),
-            [(key, value) for key, value in summary.items() if not isinstance(value, list | dict)],
-        ),
+        _table(("", ""), scalars(summary)),
         "<h2>Plots</h2><div class=plots>",
         *(_image(file.read_bytes(), "png", name) for name, file in plots.items()),
         "</div>",
@@ -70,29 +66,20 @@ def _shares(summary: Mapping[str, Any]) -> Iterable[str]:
         "pairs gives no width, however few they are.</p>"
     )
     columns = ("share", "low", "high", "pairs")
-    yield _table(
-        ("", *columns),
-        [(name, *(one[c] for c in columns)) for name, one in summary["shares"].items()],
-    )
+    shares = [(name, *(one[c] for c in columns)) for name, one in summary["shares"].items()]
+    yield _table(("", *columns), shares)
     if summary["success_overlap"]:
         yield "<h3>By overlap: answered and not gravely wrong</h3>"
-        yield _table(
-            ("overlap", *columns),
-            [
-                (f"{one['from']:g}-{one['to']:g}", *(one[c] for c in columns))
-                for one in summary["success_overlap"]
-            ],
-        )
+        yield _bins("overlap", summary["success_overlap"])
     yield "<h3>By angle</h3>"
-    first = summary["by_angle"][0]
-    columns = tuple(name for name in first if name not in ("from_deg", "to_deg"))
-    yield _table(
-        ("degrees", *columns),
-        [
-            (f"{one['from_deg']}-{one['to_deg']}", *(one[c] for c in columns))
-            for one in summary["by_angle"]
-        ],
-    )
+    yield _bins("degrees", summary["by_angle"])
+
+
+def _bins(what: str, bins: Sequence[Mapping[str, Any]]) -> str:
+    """A table of bins, whose first two values are their bounds."""
+    rows = [tuple(one.values()) for one in bins]
+    columns = (what, *list(bins[0])[2:])
+    return _table(columns, [(f"{low:g}-{high:g}", *rest) for low, high, *rest in rows])
 
 
 def _calls(calls: Mapping[str, Sequence[Mapping[str, Any]]]) -> Iterable[str]:

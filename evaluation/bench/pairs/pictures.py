@@ -23,7 +23,7 @@ def side_by_side(recording: Recording, i: TrueView, j: TrueView) -> bytes:
     Dots are points of the other view's cloud at the true pose. Rings of one colour are one track.
     A dot tells what lies in view, not what is seen: something may stand before it.
     """
-    T_i_j = inverse(i.T_world_camera) @ j.T_world_camera
+    T_i_j = i.T_to(j)
     pictures = [_with_points(i, j, T_i_j), _with_points(j, i, inverse(T_i_j))]
     tracks_i, tracks_j = recording.tracks(i), recording.tracks(j)
     if tracks_i is not None and tracks_j is not None:

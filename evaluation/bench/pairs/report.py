@@ -11,10 +11,9 @@ import numpy as np
 from fleetpose.evaluation.bench.pairs.calls import closest_calls
 from fleetpose.evaluation.bench.pairs.html import write_html
 from fleetpose.evaluation.bench.pairs.plots import plot_all
-from fleetpose.evaluation.bench.pairs.row import PairRow, verified_nees
+from fleetpose.evaluation.bench.pairs.row import PairRow, share_of, verified_nees
 from fleetpose.evaluation.data.recording import Recording
 from fleetpose.evaluation.data.splits import split_of
-from fleetpose.evaluation.metrics.intervals import share_over_views
 from fleetpose.evaluation.metrics.reliability import expected_calibration_error
 from fleetpose.evaluation.metrics.scoring import (
     CHI2_6_95,
@@ -23,23 +22,13 @@ from fleetpose.evaluation.metrics.scoring import (
     share,
     trimmed_nees_per_dof,
 )
-from fleetpose.evaluation.report.output import (
-    COVARIANCE_COLUMNS,
-    POSE_COLUMNS,
-    print_table,
-    write_csv,
-    write_summary,
-)
+from fleetpose.evaluation.report import output
 
 ANGLE_BINS_DEG = ((0, 20), (20, 40), (40, 60), (60, 90), (90, 180))
 SUCCESS_BINS = ((0.1, 0.2), (0.2, 0.3), (0.3, 0.4), (0.4, 0.5), (0.5, 1.0))
 OVERLAP_BINS = ((0.0, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.5), (0.5, 1.0))
-POSE_FILE_COLUMNS = (
-    *("i", "j", "verdict", "align_ms"),
-    *POSE_COLUMNS,
-    *COVARIANCE_COLUMNS,
-    "p_grave",
-)
+_POSE = (*output.POSE_COLUMNS, *output.COVARIANCE_COLUMNS)
+POSE_FILE_COLUMNS = ("i", "j", "verdict", "align_ms", *_POSE, "p_grave")
 TRUTH_COLUMNS = ("shared", "overlap", "angle_deg", "position_error_m", "rotation_error_deg")
 EVIDENCE_FILE_COLUMNS = ("i", "j", "verdict", "ok", "grave", "start", *TRUTH_COLUMNS)
 REMARK_COLUMNS = ("start", "wide", "inliers", "mirrored", "reasons")
@@ -58,7 +47,7 @@ def write_results(
         "split": split_of(recording.directory),
         **summarize(rows, median_depth_m, view_ms, recording.is_rgbd),
     }
-    write_summary(out, summary)
+    output.write_summary(out, summary)
     plots = plot_all(out, rows, median_depth_m)
     write_html(out / "report.html", recording, rows, summary, plots)
     _print(summary, recording.is_rgbd)
@@ -68,10 +57,12 @@ def write_results(
 def write_tables(out: Path, rows: Sequence[PairRow]) -> None:
     """Writes poses.csv, and pairs.csv with the truth and remarks beside it."""
     cells = [row.cells() for row in rows]
-    write_csv(out / "poses.csv", POSE_FILE_COLUMNS, cells)
-    write_csv(out / "pairs.csv", (*POSE_FILE_COLUMNS, *TRUTH_COLUMNS, *REMARK_COLUMNS), cells)
+    output.write_csv(out / "poses.csv", POSE_FILE_COLUMNS, cells)
+    output.write_csv(
+        out / "pairs.csv", (*POSE_FILE_COLUMNS, *TRUTH_COLUMNS, *REMARK_COLUMNS), cells
+    )
     names = sorted({name for row in rows for name in row.evidence})
-    write_csv(
+    output.write_csv(
         out / "evidence.csv",
         (*EVIDENCE_FILE_COLUMNS, *names),
         [{**row.cells(), **row.evidence} for row in rows if row.evidence],
@@ -158,7 +149,7 @@ def _verified_of_ok(rows: Sequence[PairRow]) -> dict[str, Any]:
 
 
 def _interval(rows: Sequence[PairRow], flags: Sequence[bool]) -> dict[str, Any]:
-    return asdict(share_over_views([(row.i, row.j) for row in rows], flags))
+    return asdict(share_of(rows, flags))
 
 
 def _success_by_overlap(rows: Sequence[PairRow]) -> list[dict[str, Any]]:
@@ -195,26 +186,14 @@ def _recall(rows: Sequence[PairRow]) -> dict[str, Any]:
 
 
 def _print(summary: dict[str, Any], rgbd: bool) -> None:
-    columns = (
-        "pairs",
-        "ok",
-        "not_grave",
-        "verified",
-        "grave_verified",
-        "position_error_median_m",
-        "align_ms_median",
-    )
-    bins = summary["by_overlap"] if rgbd else summary["by_angle"]
-    names = ("from", "to") if rgbd else ("from_deg", "to_deg")
-    print_table(
-        "pairs by overlap" if rgbd else "pairs by angle",
-        ("", *columns),
-        [(f"{b[names[0]]}-{b[names[1]]}", *(b[column] for column in columns)) for b in bins],
-    )
-    shown = [key for key, value in summary.items() if not isinstance(value, list | dict)]
-    print_table("summary", ("", ""), [(key, summary[key]) for key in shown])
+    what = "overlap" if rgbd else "angle"
+    bins = [list(b.items()) for b in summary[f"by_{what}"]]
+    columns = [name for name, _ in bins[0][2:]]
+    rows = [(f"{b[0][1]}-{b[1][1]}", *(value for _, value in b[2:])) for b in bins]
+    output.print_table(f"pairs by {what}", ("", *columns), rows)
+    output.print_table("summary", ("", ""), output.scalars(summary))
     names = ("share", "low", "high", "pairs")
-    print_table(
+    output.print_table(
         "shares, 95 % of bootstrap draws over views",
         ("", *names),
         [

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.metrics.intervals import SharedPairs, share_over_views
 from fleetpose.evaluation.metrics.scoring import nees
 from fleetpose.evaluation.report.output import pose_cells
 
@@ -62,3 +63,8 @@ def verified_nees(rows: Sequence[PairRow]) -> list[float]:
     """NEES of the verified pairs, nan where a covariance is singular."""
     values = [row.nees() for row in rows if row.verdict == "verified"]
     return [value for value in values if value is not None]
+
+
+def share_of(rows: Sequence[PairRow], flags: Sequence[bool]) -> SharedPairs:
+    """A share of pairs, with a bootstrap over their views."""
+    return share_over_views([(row.i, row.j) for row in rows], flags)

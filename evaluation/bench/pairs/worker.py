@@ -2,10 +2,11 @@
 
 import os
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from fleetpose.robot_agent.cameras.kinds import CameraKind
 
 CACHED_VIEWS = 64
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,13 @@ class Answer:
     hearing: "Hearing | None" = None
 
 
+def timed(work: Callable[[], T]) -> tuple[T, float]:
+    """What a piece of work gives, and its milliseconds."""
+    began = time.perf_counter()
+    result = work()
+    return result, 1e3 * (time.perf_counter() - began)
+
+
 def use_one_thread() -> None:
     """Called first in every worker: the processes are the parallelism."""
     for library in ("OMP", "OPENBLAS", "MKL"):
@@ -66,7 +75,7 @@ def encode(
     """
     from fleetpose.protocol import codec
     from fleetpose.protocol.keys import new_epoch
-    from fleetpose.protocol.messages import ViewName
+    from fleetpose.protocol.messages import View, ViewName
     from fleetpose.robot_agent.cameras.factory import open_camera
     from fleetpose.robot_agent.features.depth_picture import picture_of
     from fleetpose.robot_agent.features.keypoints import salient_of
@@ -76,12 +85,13 @@ def encode(
     frame = next(iter(open_camera(camera, str(folder), "once").frames()))
     if not images:
         frame = replace(frame, image=picture_of(frame.ranges, frame.model), has_image=False)
-    began = time.perf_counter()
-    salient = salient_of(frame)
     name = ViewName(robot=robot, epoch=new_epoch(), seq=0)
-    view = view_of(name, frame, salient)
-    payload = codec.pack(view)
-    elapsed_ms = 1e3 * (time.perf_counter() - began)
+
+    def sent() -> tuple[View, bytes]:
+        view = view_of(name, frame, salient_of(frame))
+        return view, codec.pack(view)
+
+    (view, payload), elapsed_ms = timed(sent)
     wire.write_bytes(payload)
     wire.with_suffix(".kept").write_bytes(codec.pack(kept_view(view, frame.image)))
     return elapsed_ms
@@ -104,9 +114,7 @@ def widen(wire: Path) -> float:
     if wide.exists():
         return 0.0
     kept = codec.unpack(KeptView, wire.with_suffix(".kept").read_bytes())
-    began = time.perf_counter()
-    payload = codec.pack(wide_view(kept))
-    elapsed_ms = 1e3 * (time.perf_counter() - began)
+    payload, elapsed_ms = timed(lambda: codec.pack(wide_view(kept)))
     mine = wide.with_suffix(f".wide-{os.getpid()}")
     mine.write_bytes(payload)
     mine.replace(wide)
@@ -121,9 +129,7 @@ def prepared(wire: Path) -> tuple["PreparedView", float]:
     from fleetpose.protocol.messages import View
 
     payload = wire.read_bytes()
-    began = time.perf_counter()
-    view = prepare_view(codec.unpack(View, payload))
-    return view, 1e3 * (time.perf_counter() - began)
+    return timed(lambda: prepare_view(codec.unpack(View, payload)))
 
 
 @lru_cache(maxsize=CACHED_VIEWS)
@@ -147,15 +153,12 @@ def align(wire_i: Path, wire_j: Path) -> Answer:
     from fleetpose.pose_server.registration.align import align_pair, align_wide, is_settled
 
     (i, _), (j, _) = prepared(wire_i), prepared(wire_j)
-    began = time.perf_counter()
-    result = align_pair(i, j)
-    align_ms = 1e3 * (time.perf_counter() - began)
+    result, align_ms = timed(lambda: align_pair(i, j))
     if is_settled(result):
         return answer_of(result, align_ms)
     wide_i, wide_j = widened(wire_i), widened(wire_j)
-    began = time.perf_counter()
-    result = align_wide(wide_i, wide_j, result)
-    return answer_of(result, align_ms + 1e3 * (time.perf_counter() - began), wide=True)
+    result, wide_ms = timed(lambda: align_wide(wide_i, wide_j, result))
+    return answer_of(result, align_ms + wide_ms, wide=True)
 
 
 def answer_of(result: "PairResult", align_ms: float, wide: bool = False) -> Answer:

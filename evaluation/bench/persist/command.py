@@ -5,10 +5,8 @@ So each pair of later views is aligned from the carried pose where there were cl
 from nothing where there were none.
 """
 
-import tempfile
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,43 +14,16 @@ import numpy as np
 
 from fleetpose.evaluation.bench.persist.following import POLICIES, Policy, Run, Step, follow
 from fleetpose.evaluation.bench.persist.walks import Walk, recorded_walk, world_walk
-from fleetpose.evaluation.bench.working import as_done, worker_pool
+from fleetpose.evaluation.bench.working import Bench, bench_of
 from fleetpose.evaluation.data.opening import median_depth_m, open_recording
 from fleetpose.evaluation.data.recording import Recording
 from fleetpose.evaluation.metrics.scoring import Limits, percentile, share
-from fleetpose.evaluation.report.output import (
-    new_figure,
-    output_folder,
-    print_table,
-    progress_bar,
-    write_csv,
-    write_summary,
-)
+from fleetpose.evaluation.options.recorded import PersistOptions
+from fleetpose.evaluation.report import output
 from fleetpose.protocol.errors import FleetPoseError
 
 _WORLD_DEPTH_M = 8.0
 """Median depth of the synthetic world's views, to a few per cent."""
-
-
-@dataclass(frozen=True)
-class PersistOptions:
-    """What `pose-eval persist` is asked for.
-
-    Attributes:
-        data: an RGB-D folder; none for the synthetic world.
-        views: followed after the clicks.
-        clicks: in the first pair of views of a run.
-        runs: at most, begun at different views, half of them walked back.
-        separation_deg: of the robots in the synthetic world.
-    """
-
-    data: Path | None = None
-    views: int = 20
-    clicks: int = 3
-    runs: int = 10
-    separation_deg: float = 45.0
-    workers: int = 2
-    seed: int = 0
 
 
 def run(options: PersistOptions, out: Path) -> dict[str, Any]:
@@ -65,30 +36,23 @@ def run(options: PersistOptions, out: Path) -> dict[str, Any]:
         FleetPoseError: the data cannot be used, or in no first pair of views can be clicked.
     """
     recording = None if options.data is None else open_recording(options.data)
-    output_folder(out)
-    with (
-        tempfile.TemporaryDirectory(prefix="fleetpose-") as folder,
-        worker_pool(options.workers) as pool,
-        progress_bar() as progress,
-    ):
-        a, b = _walks(options, recording, Path(folder), pool)
-        runs = list(runs_of(a, b, options))
-        bar = progress.add_task("runs", total=len(runs))
-        steps: list[Step] = []
-        for _, own in as_done(pool, ((k, (follow, one)) for k, one in enumerate(runs)), 8):
-            steps += own
-            progress.advance(bar)
+    output.output_folder(out)
+    with bench_of(options.workers) as bench:
+        a, b = _walks(options, recording, bench)
+        runs = runs_of(a, b, options)
+        jobs = [(None, (follow, one)) for one in runs]
+        steps = [step for _, own in bench.as_done("runs", jobs, 8) for step in own]
     if not steps:
         raise FleetPoseError(
             f"in none of {len(runs)} first pairs of views {options.clicks} points can be clicked: "
             "the two halves of the walk do not look at the same; give more --runs"
         )
     steps.sort(key=lambda step: (step.run, step.step, step.policy))
-    write_csv(out / "persist.csv", [f.name for f in fields(Step)], map(vars, steps))
+    output.write_csv(out / "persist.csv", Step, steps)
     depth_m = _WORLD_DEPTH_M if recording is None else median_depth_m(recording)
     limits = Limits.of(depth_m, recording is not None)
     summary = {"median_depth_m": depth_m, **summarize(steps, limits)}
-    write_summary(out, summary)
+    output.write_summary(out, summary)
     plot(out / "persist.png", steps)
     _print(summary)
     return summary
@@ -167,7 +131,7 @@ def _sums(steps: Sequence[Step], limits: Limits) -> dict[str, Any]:
 
 def plot(path: Path, steps: Sequence[Step]) -> None:
     """Median error, share without a pose, and time of alignment over the views after the clicks."""
-    figure, axes = new_figure(12.0, 4.0)
+    figure, axes = output.new_figure(12.0, 4.0)
     axes.remove()
     values = {
         "median position error, m": lambda own: percentile(
@@ -189,25 +153,20 @@ def plot(path: Path, steps: Sequence[Step]) -> None:
     figure.savefig(path)
 
 
-def _walks(
-    options: PersistOptions, recording: Recording | None, folder: Path, pool: ProcessPoolExecutor
-) -> tuple[Walk, Walk]:
+def _walks(options: PersistOptions, recording: Recording | None, bench: Bench) -> tuple[Walk, Walk]:
     """Both robots' walks; in the synthetic world a few views longer, for several runs."""
     if recording is None:
         views = options.views + 1 + options.runs // 2
-        jobs = [
-            pool.submit(world_walk, options.separation_deg, options.seed, k, views, folder)
-            for k in (0, 1)
-        ]
+        walk = partial(world_walk, options.separation_deg, options.seed)
     else:
-        views = options.views + 1
-        jobs = [pool.submit(recorded_walk, recording, k, views, folder) for k in (0, 1)]
+        views, walk = options.views + 1, partial(recorded_walk, recording)
+    jobs = [bench.pool.submit(walk, k, views, bench.folder) for k in (0, 1)]
     return jobs[0].result(), jobs[1].result()
 
 
 def _print(summary: dict[str, Any]) -> None:
     columns = list(summary[POLICIES[0]])
     rows = [(name, *(summary[policy][name] for policy in POLICIES)) for name in columns]
-    print_table("after the clicks", ("", *POLICIES), rows)
+    output.print_table("after the clicks", ("", *POLICIES), rows)
     for name in ("where_both_answer", "where_both_answer_paper"):
-        print_table(name.replace("_", " "), ("", ""), list(summary[name].items()))
+        output.print_table(name.replace("_", " "), ("", ""), list(summary[name].items()))

@@ -1,18 +1,17 @@
 """One run of two robots, in a worker: clicks in their first views, and what becomes of the next."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
 from fleetpose.evaluation.bench.clicks import click_noise
-from fleetpose.evaluation.bench.clicks.worker import as_job, encoded, kept, lifted, takes
-from fleetpose.evaluation.bench.pairs.worker import prepared
+from fleetpose.evaluation.bench.clicks.worker import as_job, encoded, kept, lifted, sizes_of, takes
+from fleetpose.evaluation.bench.pairs.worker import prepared, timed
 from fleetpose.evaluation.bench.persist.walks import Walk
 from fleetpose.evaluation.metrics.geometry import Floats, inverse
-from fleetpose.evaluation.metrics.scoring import position_error_m, rotation_error_deg
+from fleetpose.evaluation.metrics.scoring import pose_errors
 from fleetpose.evaluation.simulate.operator import by_view_depth
 
 if TYPE_CHECKING:
@@ -20,13 +19,7 @@ if TYPE_CHECKING:
     from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 
 Policy = Literal["with", "without", "without_but_carried", "paper_with", "paper_without"]
-POLICIES: tuple[Policy, ...] = (
-    "with",
-    "without",
-    "without_but_carried",
-    "paper_with",
-    "paper_without",
-)
+POLICIES: tuple[Policy, ...] = get_args(Policy)
 """Clicks in the first views, the pose carried on; no clicks, each pair of views by itself; no
 clicks, what was found by itself carried on. The same by the paper's ICP alone: from the carried
 pose, and from the identity."""
@@ -104,8 +97,7 @@ def _by_paper(policy: Policy, run: Run, k: int, start: Floats | None) -> tuple[F
     found = by_icp(i, j, from_there)
     T = np.asarray(from_there if found is None else found.T_i_j, np.float64)
     icp_ms = 0.0 if found is None else found.report.ms
-    T_true = _true(run, k)
-    errors = position_error_m(T_true, T), rotation_error_deg(T_true, T)
+    errors = pose_errors(_true(run, k), T)
     step = Step(policy, run.number, k, "", "alignment", *errors, icp_ms, icp_ms)
     return (None if policy == "paper_without" else T), step
 
@@ -118,12 +110,11 @@ def _by_clicks(run: Run) -> Floats | None:
     from fleetpose.protocol.messages import View
 
     wires = (run.a.wires[0], run.b.wires[0])
-    views = tuple(kept(wire) for wire in wires)
+    views = (kept(wires[0]), kept(wires[1]))
     i, j = (codec.unpack(View, view.payload) for view in views)
-    sizes = tuple((view.camera.width, view.camera.height) for view in views)
     true = by_view_depth(i, j, _true(run, 0))
     rng = np.random.default_rng(run.seed)
-    clicked = click_noise.right_clicks(true, run.clicks, rng, (sizes[0], sizes[1]), takes(views))
+    clicked = click_noise.right_clicks(true, run.clicks, rng, sizes_of(views), takes(views))
     if len(clicked) < run.clicks:
         return None
     at_i, at_j = (lifted(view, uv) for view, uv in zip(views, clicked.pixels, strict=True))
@@ -160,9 +151,7 @@ def _aligned(run: Run, k: int, starts: Sequence["Start"]) -> tuple["PairResult",
     from fleetpose.pose_server.workers.run import run_job
 
     job = Job("pair", encoded(run.a.wires[k]), encoded(run.b.wires[k]), tuple(starts))
-    began = time.perf_counter()
-    result = run_job(job)
-    return result, 1e3 * (time.perf_counter() - began)
+    return timed(lambda: run_job(job))
 
 
 def _accepted_pose(result: "PairResult") -> Floats | None:
@@ -180,18 +169,9 @@ def _step(
     pose: Floats | None,
     source: str,
 ) -> Step:
-    T_true = _true(run, k)
-    return Step(
-        policy,
-        run.number,
-        k,
-        result.verdict,
-        source,
-        None if pose is None else position_error_m(T_true, pose),
-        None if pose is None else rotation_error_deg(T_true, pose),
-        result.icp.ms if result.icp else 0.0,
-        align_ms,
-    )
+    errors = (None, None) if pose is None else pose_errors(_true(run, k), pose)
+    icp_ms = result.icp.ms if result.icp else 0.0
+    return Step(policy, run.number, k, result.verdict, source, *errors, icp_ms, align_ms)
 
 
 def _true(run: Run, k: int) -> Floats:

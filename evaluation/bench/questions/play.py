@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fleetpose.evaluation.bench.clicks.truth import true_pixels
-from fleetpose.evaluation.bench.clicks.worker import kept, with_wide
+from fleetpose.evaluation.bench.clicks.worker import kept, sizes_of, with_wide
 from fleetpose.evaluation.bench.questions.policies import POLICIES
 from fleetpose.evaluation.bench.questions.server import FleetServer, RobotPair, named_pairs
 from fleetpose.evaluation.bench.ring.solving import connected
 from fleetpose.evaluation.data.opening import points_of
 from fleetpose.evaluation.data.recording import Recording, TrueView, are_partners
 from fleetpose.evaluation.metrics.geometry import Floats, inverse, transform
-from fleetpose.evaluation.metrics.scoring import Limits, position_error_m, rotation_error_deg
+from fleetpose.evaluation.metrics.scoring import Limits, pose_errors
 from fleetpose.evaluation.simulate.mistakes import Sight, mistaken, sight_of
 from fleetpose.evaluation.simulate.operator import PICKS_LOOKED_AT, by_hand, far_apart
 from fleetpose.pose_server.questions.facts import questions
@@ -232,8 +232,7 @@ def _gravely_off(task: Task, server: FleetServer) -> list[str]:
     grave = []
     for name, T_fleet_camera in placed.items():
         T = inverse(placed[anchor]) @ T_fleet_camera
-        T_true = inverse(views[anchor].T_world_camera) @ views[name].T_world_camera
-        if task.limits.grave(position_error_m(T_true, T), rotation_error_deg(T_true, T)):
+        if task.limits.grave(*pose_errors(views[anchor].T_to(views[name]), T)):
             grave.append(name)
     return grave
 
@@ -245,7 +244,6 @@ def clicks_in(task: Task, views: tuple[int, int], visit: int) -> list[tuple[Floa
     """
     i, j = views
     seen = (kept(task.wires[i]), kept(task.wires[j]))
-    sizes = tuple((view.camera.width, view.camera.height) for view in seen)
     rng = np.random.default_rng((task.seed, *sorted(views)))
     true = true_pixels(task.recording, task.recording.view(i), task.recording.view(j))
     wanted = CLICKS * (visit + 1)
@@ -258,7 +256,7 @@ def clicks_in(task: Task, views: tuple[int, int], visit: int) -> list[tuple[Floa
     if chance.uniform() < task.mistakes:
         spoilt = mistaken(picks, _sight(task.wires[j]), CLICKS, chance)
     pixels = (picks[0][:CLICKS], picks[1][:CLICKS]) if spoilt is None else spoilt.pixels
-    clicks = by_hand(pixels, rng, (sizes[0], sizes[1]))
+    clicks = by_hand(pixels, rng, sizes_of(seen))
     return [(click.pixel_i, click.pixel_j) for click in clicks]
 
 
@@ -277,7 +275,7 @@ def judged_suggestions(task: Task, server: FleetServer) -> list[tuple[int, bool]
             task.recording.view(server.views[name.robot])
             for name in (question.view_i, question.view_j)
         )
-        T_j_i = inverse(j.T_world_camera) @ i.T_world_camera
+        T_j_i = j.T_to(i)
         for one in question.suggestions:
             place = _true_place(task.recording, i, one.pixel_i)
             if place is None:

@@ -11,26 +11,12 @@ from fleetpose.evaluation.bench.questions.play import Played, Run
 from fleetpose.evaluation.data.splits import Split
 from fleetpose.evaluation.metrics.intervals import DRAWS, LEVEL
 from fleetpose.evaluation.metrics.scoring import share
-from fleetpose.evaluation.report.output import new_figure, print_table, write_csv, write_summary
+from fleetpose.evaluation.report.output import plot, print_table, write_csv, write_summary
 
 Floats = npt.NDArray[np.floating]
 
-COLUMNS = (
-    "seed",
-    "policy",
-    "robots",
-    "components",
-    "minimum",
-    "clicks",
-    "located",
-    "grave",
-    "grave_verified",
-    "claimed",
-    "in_vain",
-    "asked",
-)
-
-
+COLUMNS = ("seed", "policy", "robots", "components", "minimum", "clicks", "located", "grave")
+COLUMNS += ("grave_verified", "claimed", "in_vain", "asked")
 FLAGS = ("located", "grave", "grave_verified", "claimed")
 ENDS = {
     "grave_ends_questions": "questions",
@@ -131,16 +117,13 @@ def _short(value: Any) -> tuple[Any, Any, Any]:
 
 def _plot(path: Path, played: Sequence[Played], policies: Sequence[str]) -> None:
     """Every fleet as a dot, by policy, the mean as a line."""
-    figure, axes = new_figure()
     names = [*policies, "minimum"]
     columns = [_clicks(played, policy) for policy in policies]
     columns.append(np.array([one.runs[0].minimum for one in played], float))
     rng = np.random.default_rng(0)
-    for place, values in enumerate(columns):
-        axes.plot(place + rng.uniform(-0.15, 0.15, len(values)), values, "o", alpha=0.4)
-        axes.hlines(values.mean(), place - 0.3, place + 0.3, color="black")
-    axes.set_xticks(range(len(names)), [name.replace("_", "\n") for name in names])
-    axes.set_ylabel("clicks until all robots are located and right")
-    axes.set_yscale("log")
-    axes.set_title(f"{len(played)} fleets")
-    figure.savefig(path)
+    label = "clicks until all robots are located and right"
+    with plot(path, ylabel=label, yscale="log", title=f"{len(played)} fleets") as axes:
+        for place, values in enumerate(columns):
+            axes.plot(place + rng.uniform(-0.15, 0.15, len(values)), values, "o", alpha=0.4)
+            axes.hlines(values.mean(), place - 0.3, place + 0.3, color="black")
+        axes.set_xticks(range(len(names)), [name.replace("_", "\n") for name in names])

@@ -1,11 +1,8 @@
 """`pose-eval ring`: the paper's Figs. 9 and 10 on rings of posed views."""
 
-import tempfile
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from fleetpose.evaluation.bench.clicks.click_noise import wrong_of
 from fleetpose.evaluation.bench.clicks.rows import ClickRow, click_row, named
@@ -15,42 +12,17 @@ from fleetpose.evaluation.bench.ring.layout import Ring, rings_of
 from fleetpose.evaluation.bench.ring.report import RingRow, ring_row, write_results, write_summaries
 from fleetpose.evaluation.bench.ring.scene import ring_scene
 from fleetpose.evaluation.bench.ring.solving import Pair, Solved, solve_ring
-from fleetpose.evaluation.bench.working import as_done, on_the_wire, worker_pool
-from fleetpose.evaluation.data.opening import median_depth_m, open_recording
-from fleetpose.evaluation.data.recording import CloudKind, TrueView, shared_tracks
+from fleetpose.evaluation.bench.working import Bench, bench_of
+from fleetpose.evaluation.data.opening import median_depth_m
+from fleetpose.evaluation.data.recording import TrueView, shared_tracks
 from fleetpose.evaluation.metrics.scoring import Limits
-from fleetpose.evaluation.report.output import output_folder, progress_bar
+from fleetpose.evaluation.options.recorded import RingOptions
+from fleetpose.evaluation.report.output import output_folder
 from fleetpose.pose_server.mapping.scene import Scene
 from fleetpose.protocol.errors import FleetPoseError
 
-RecipeOption = Literal["paper", "full", "both"]
 Answers = dict[tuple[Pair, int, int], ClickedAnswer]
 """By pair, number of clicks and draw."""
-
-
-@dataclass(frozen=True)
-class RingOptions:
-    """What `pose-eval ring` is asked for.
-
-    Attributes:
-        clicks: numbers of clicks per pair of neighbours.
-        wrong_share: of the clicks, to the nearest whole click.
-        draws: of clicks per pair; with none of them one is enough.
-        starts: rings per separation, at most.
-    """
-
-    data: Path
-    clouds: CloudKind | None = None
-    recipe: RecipeOption = "full"
-    clicks: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
-    wrong_share: float = 0.0
-    draws: int = 20
-    starts: int = 1
-    workers: int = 2
-    seed: int = 0
-
-    def draws_of(self, clicks: int) -> int:
-        return self.draws if clicks else 1
 
 
 def run(options: RingOptions, out: Path) -> dict[str, Any]:
@@ -64,7 +36,7 @@ def run(options: RingOptions, out: Path) -> dict[str, Any]:
     """
     if not options.clicks or min(options.clicks) < 0:
         raise FleetPoseError("--clicks: give numbers from 0 on, e.g. 0,3")
-    recording = open_recording(options.data, options.clouds)
+    recording = options.recording()
     rings = rings_of(recording, options.starts)
     output_folder(out)
     depth_m = median_depth_m(recording)
@@ -75,17 +47,12 @@ def run(options: RingOptions, out: Path) -> dict[str, Any]:
         ("paper", "full") if options.recipe == "both" else (options.recipe,)
     )
     summaries: dict[str, dict[str, Any]] = {}
-    with (
-        tempfile.TemporaryDirectory(prefix="fleetpose-") as folder,
-        worker_pool(options.workers) as pool,
-        progress_bar() as progress,
-    ):
-        seen = {view.index: view for both in pairs.values() for view in both}
-        wires, _ = on_the_wire(recording, list(seen.values()), Path(folder), pool, progress)
+    with bench_of(options.workers) as bench:
+        wires, _ = bench.on_the_wire(recording, [view for both in pairs.values() for view in both])
         for recipe in recipes:
             tasks = _tasks(options, recipe, wires, true)
-            answers = _answers(tasks, options, pool, progress, recipe)
-            solved = list(_solved(rings, answers, depth_m, options, pool, progress, recipe))
+            answers = _answers(list(tasks), bench, recipe)
+            solved = list(_solved(rings, answers, depth_m, options, bench, recipe))
             limits = Limits.of(depth_m, recording.is_rgbd)
             rows = {
                 key: click_row(pairs[key[0]], *key[1:], clicked, limits, shared[key[0]])
@@ -129,21 +96,14 @@ def _tasks(
 
 
 def _answers(
-    tasks: Iterator[tuple[tuple[Pair, int], Task]],
-    options: RingOptions,
-    pool: ProcessPoolExecutor,
-    progress: Any,
-    recipe: Recipe,
+    tasks: Sequence[tuple[tuple[Pair, int], Task]], bench: Bench, recipe: Recipe
 ) -> Answers:
-    todo = list(tasks)
-    plans = {label: task.plans for label, task in todo}
-    bar = progress.add_task(f"{recipe}: draws", total=len(todo))
+    plans = {label: task.plans for label, task in tasks}
     answers: Answers = {}
-    jobs = ((label, (run_task, task)) for label, task in todo)
-    for (pair, draw), clicked in as_done(pool, jobs, in_flight=2 * options.workers + 2):
+    jobs = [(label, (run_task, task)) for label, task in tasks]
+    for (pair, draw), clicked in bench.as_done(f"{recipe}: draws", jobs):
         for plan, one in zip(plans[pair, draw], clicked, strict=True):
             answers[pair, plan.clicks, draw] = one
-        progress.advance(bar)
     return dict(sorted(answers.items()))
 
 
@@ -152,8 +112,7 @@ def _solved(
     answers: Answers,
     depth_m: float,
     options: RingOptions,
-    pool: ProcessPoolExecutor,
-    progress: Any,
+    bench: Bench,
     recipe: Recipe,
 ) -> Iterator[tuple[Ring, tuple[int, int], Solved]]:
     """Every ring with every draw of every number of clicks."""
@@ -165,9 +124,7 @@ def _solved(
                 own = {pair: answers[pair, clicks, draw] for pair in _indices(ring.pairs)}
                 job = (solve_ring, views, own, depth_m, options.seed + draw)
                 jobs.append(((ring, (clicks, draw)), job))
-    bar = progress.add_task(f"{recipe}: fleets", total=len(jobs))
-    for (ring, key), solved in as_done(pool, jobs, in_flight=2 * options.workers + 2):
-        progress.advance(bar)
+    for (ring, key), solved in bench.as_done(f"{recipe}: fleets", jobs):
         yield ring, key, solved
 
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from fleetpose.evaluation.bench.clicks.worker import ClickedAnswer
 from fleetpose.evaluation.data.anonymize import distinct_names
 from fleetpose.evaluation.data.recording import TrueView
-from fleetpose.evaluation.metrics.geometry import Floats, inverse
+from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.evaluation.metrics.scoring import position_error_m
 from fleetpose.pose_server.correspondences.on_keyframes import contradicts
 from fleetpose.pose_server.geometry.point_pairs import PointPairs
@@ -75,8 +75,7 @@ def solve_ring(
     for arc, anchor in zip(arcs, anchors, strict=True):
         for index, T in _places(solution, names, sorted(answers), arc, anchor).items():
             if index != anchor:
-                T_true = inverse(views[anchor].T_world_camera) @ views[index].T_world_camera
-                errors[index] = position_error_m(T_true, T)
+                errors[index] = position_error_m(views[anchor].T_to(views[index]), T)
                 located += solution.joined(names[anchor], names[index])
     marked = {pair: _marked(solution, names, pair, answers[pair]) for pair in answers}
     return Solved(errors, located / max(len(errors), 1), marked)

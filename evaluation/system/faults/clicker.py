@@ -10,26 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.system.faults.heard import Click, Heard, Pair, clicked
 from fleetpose.evaluation.system.observer import SeenView
 from fleetpose.hmi_client.network.outbox import Outbox, Ticket
 from fleetpose.protocol import codec
-from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.keys import Keys
-from fleetpose.protocol.messages import (
-    Correspondence,
-    OperatorUpdate,
-    PairCorrespondences,
-    Receipts,
-)
+from fleetpose.protocol.messages import Correspondence, OperatorUpdate, Receipts
 from fleetpose.protocol.transport import Link, Sample, wait_until
 
 REPEAT_S = 0.5
 MAX_OPEN = 40  # a person does not click on for ever while nothing is confirmed
 ERASED_SHARE, MANY, ERASED_OF_MANY = 0.3, 150, 0.7  # sets stay as large as persons make them
-
-Pair = tuple[str, str]
-Click = tuple[str, str, float, float]
-"""Robots and the pixel in the first one's image: all clicks differ in it."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +45,7 @@ class Account:
     doubled: list[str]
 
 
-class Clicker:
+class Clicker(Heard):
     """Clicks at a steady rate in a thread of its own; updates are repeated until receipted.
 
     Args:
@@ -76,20 +67,16 @@ class Clicker:
         self._places = list(places)
         self._period_s = 1.0 / per_s
         self._chance = random.Random(1)
-        self._lock = threading.Lock()
-        self._sets: dict[Pair, PairCorrespondences] = {}
         self._tickets: list[Ticket] = []
         self._clicks: dict[int, Click] = {}  # every one ever told, by id
         self._erasing: set[int] = set()
         self._offered_s: dict[int, float] = {}
-        self._receipted_s: list[float] = []
         self._ways = {places.pair: self._way(places) for places in self._places}
         self._publisher = link.latched(keys.updates(name), block=True, history=100)
         self._stop = threading.Event()
         self._pause = threading.Event()
         self._thread = threading.Thread(target=self._run, name="clicker", daemon=True)
-        link.on_latched(keys.receipts(name), self._note_receipts)
-        link.on_latched(keys.correspondences("*", "*"), self._note_set)
+        super().__init__(link, keys, name)
 
     def start(self) -> None:
         """Begins to click."""
@@ -121,11 +108,6 @@ class Clicker:
         with self._lock:
             return len(self._outbox.open)
 
-    def first_receipt_s(self, since_s: float) -> float | None:
-        """When the first receipt of something new came after a time."""
-        with self._lock:
-            return next((at_s for at_s in self._receipted_s if at_s > since_s), None)
-
     def settled(self, timeout_s: float) -> bool:
         """Waits until nothing is open; whether that came about."""
         return wait_until(lambda: not self.in_flight(), timeout_s)
@@ -135,11 +117,6 @@ class Clicker:
         with self._lock:
             return self._erased()
 
-    def heard_all(self, epoch: str) -> bool:
-        """Whether all sets that are known are what a server of that epoch told."""
-        with self._lock:
-            return all(known.server_epoch == epoch for known in self._sets.values())
-
     def account(self) -> Account:
         """Compares the sets that the server published last with what it receipted.
 
@@ -147,13 +124,13 @@ class Clicker:
         """
         with self._lock:
             items = [(pair, item) for pair, known in self._sets.items() for item in known.items]
-            there = Counter(_click(pair, item) for pair, item in items)
+            there = Counter(clicked(pair, item) for pair, item in items)
             ids = Counter(item.id for _, item in items)
             erased = self._erased()
             lost = [f"{ticket.update.n} was never receipted" for ticket in self._outbox.open]
             doubled = []
             for ticket in (ticket for ticket in self._tickets if ticket.final):
-                update, click = ticket.update, _clicked(ticket.update)
+                update, click = ticket.update, _of(ticket.update)
                 if update.action == "erase":
                     if ticket.accepted and update.correspondence in ids:
                         lost.append(f"erasing {update.correspondence} was undone")
@@ -224,31 +201,17 @@ class Clicker:
                 self._offered_s[n] = now_s
                 self._publisher.put(codec.pack(ticket.update), codec.encoding_of(OperatorUpdate))
 
-    def _note_receipts(self, sample: Sample) -> None:
-        try:
-            receipts = codec.unpack(Receipts, sample.payload, sample.encoding)
-        except CodecError:
-            return
-        with self._lock:
-            if self._outbox.settle(receipts):
-                self._receipted_s.append(time.monotonic())
+    def _settle(self, receipts: Receipts) -> bool:
+        return bool(self._outbox.settle(receipts))
 
     def _note_set(self, sample: Sample) -> None:
-        try:
-            known = codec.unpack(PairCorrespondences, sample.payload, sample.encoding)
-        except CodecError:
-            return
+        super()._note_set(sample)
         with self._lock:
-            self._sets[known.i, known.j] = known
-            for item in known.items:
-                self._clicks[item.id] = _click((known.i, known.j), item)
+            for pair, known in self._sets.items():
+                self._clicks |= {item.id: clicked(pair, item) for item in known.items}
 
 
-def _click(pair: Pair, item: Correspondence) -> Click:
-    return (*pair, float(item.pixel_i[0]), float(item.pixel_i[1]))
-
-
-def _clicked(update: OperatorUpdate) -> Click | None:
+def _of(update: OperatorUpdate) -> Click | None:
     if update.pixel_i is None:
         return None
     return (update.i, update.j, float(update.pixel_i[0]), float(update.pixel_i[1]))

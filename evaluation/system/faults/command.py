@@ -2,35 +2,16 @@
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fleetpose.evaluation.report.output import (
-    output_folder,
-    print_table,
-    progress_bar,
-    write_summary,
-)
+from fleetpose.evaluation.options.fleets import FaultOptions
+from fleetpose.evaluation.report.output import output_folder, progress_bar, write_summary
 from fleetpose.evaluation.system.faults import crashes, frozen, inject, late
-from fleetpose.evaluation.system.faults.inject import ROBOTS
 from fleetpose.protocol.errors import FleetPoseError
 
 Scenario = Callable[[Path, Path, Callable[[], None]], dict[str, Any]]
-
-
-@dataclass(frozen=True)
-class FaultOptions:
-    """What `pose-eval faults` is asked for; zeros leave out."""
-
-    kills: int = 0
-    freeze_s: float = 0.0
-    late_clicks: int = 0
-    inject: tuple[str, ...] = ()
-    inject_s: float = 50.0
-    inject_robots: int = ROBOTS
-    seed: int = 0
 
 
 def run(options: FaultOptions, out: Path) -> dict[str, Any]:
@@ -50,8 +31,7 @@ def run(options: FaultOptions, out: Path) -> dict[str, Any]:
             with tempfile.TemporaryDirectory(prefix="fleetpose-") as scratch:
                 step = partial(progress.advance, task)
                 summary |= scenario(Path(scratch), logs / name, step)
-    write_summary(out, summary)
-    print_table("faults", ("what", "value"), summary.items())
+    write_summary(out, summary, "faults")
     return summary
 
 

@@ -1,12 +1,11 @@
 """All kinds of processes killed at random moments while operators click."""
 
-import itertools
 import json
 import random
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,10 @@ from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 from fleetpose.evaluation.report.output import write_csv
 from fleetpose.evaluation.system.faults.clerk import Ledger
 from fleetpose.evaluation.system.faults.clicker import Clicker, Places
-from fleetpose.evaluation.system.fleet import FleetPlan, open_link, plan_world, start, wait_started
+from fleetpose.evaluation.system.faults.desk import clickable
+from fleetpose.evaluation.system.fleet import observed, plan_world, start, wait_started
 from fleetpose.evaluation.system.observer import Observer
 from fleetpose.protocol.errors import FleetPoseError
-from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.transport import wait_until
 
 ROBOTS = 3
@@ -67,16 +66,13 @@ def run(
     noted: list[Kill] = []
     with LocalFleet(logs) as fleet, ExitStack() as closing:
         start(fleet, plan, 2, scratch / "state")
-        link = open_link(fleet)
-        closing.callback(link.close)
-        observer = Observer(link, Keys(fleet.site))
-        closing.callback(observer.close)
+        observer = closing.enter_context(observed(fleet))
         wait_started(fleet, observer, ROBOTS)
-        places = _places(fleet, plan, observer)
-        clicker = Clicker(link, Keys(fleet.site), places, CLICKS_PER_S)
+        places = clickable(fleet, plan, observer, _MIN_PLACES)
+        clicker = Clicker(observer.link, observer.keys, places, CLICKS_PER_S)
         closing.callback(clicker.close)
         clicker.start()
-        ledger = Ledger(link, Keys(fleet.site))
+        ledger = Ledger(observer.link, observer.keys)
         pause = scratch / "pause"
         _start_desk(fleet, places, scratch, pause)
         for _ in range(kills):
@@ -98,8 +94,7 @@ def run(
         account.doubled.extend(doubled)
     for sentence in (*account.lost[:10], *account.doubled[:10]):
         print(sentence)
-    rows = [asdict(kill) for kill in noted]
-    write_csv(logs.parent.parent / "kills.csv", [column.name for column in fields(Kill)], rows)
+    write_csv(logs.parent.parent / "kills.csv", Kill, noted)
     return {
         "kills": kills,
         **{f"kills_{kind}": sum(_kind(k.target) == kind for k in noted) for kind in KINDS},
@@ -143,24 +138,6 @@ def _start_desk(fleet: LocalFleet, places: list[Places], scratch: Path, pause: P
 def _longest(noted: list[Kill], target: str) -> float | None:
     seconds = [kill.poses_s for kill in noted if kill.target == target]
     return max((s for s in seconds if s is not None), default=None)
-
-
-def _places(fleet: LocalFleet, plan: FleetPlan, observer: Observer) -> list[Places]:
-    """Where every pair that sees anything in common can be clicked, by the truth."""
-
-    def found() -> list[Places]:
-        views = [observer.newest_view(name) for name in plan.names]
-        pairs = itertools.combinations([view for view in views if view is not None], 2)
-        places = [Places(i, j, *plan.truth.correspondences(i, j)) for i, j in pairs]
-        return [one for one in places if len(one.uv_i) >= _MIN_PLACES]
-
-    everybody = wait_running(
-        fleet, lambda: all(observer.newest_view(name) for name in plan.names), UP_WITHIN_S
-    )
-    places = found() if everybody else []
-    if not places:
-        raise FleetPoseError(f"no two robots see the same; the logs are in {fleet.directory}")
-    return places
 
 
 def _kill(

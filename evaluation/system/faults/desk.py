@@ -11,9 +11,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
+from fleetpose.evaluation.system.faults.clicker import Places
+from fleetpose.evaluation.system.faults.heard import Pair
 from fleetpose.evaluation.system.fleet import (
     FleetPlan,
-    open_link,
+    observed,
     plan_world,
     replay_arguments,
     start,
@@ -31,49 +33,41 @@ MIN_PLACES = 60
 UP_WITHIN_S = 90.0
 HEARD_WITHIN_S = 10.0
 
-Pair = tuple[str, str]
-
 
 @contextmanager
 def replayed_fleet(
     robots: int, scratch: Path, logs: Path
-) -> Iterator[tuple[LocalFleet, FleetPlan, Link, Observer]]:
+) -> Iterator[tuple[LocalFleet, FleetPlan, Observer]]:
     """Robots that stand in the synthetic world and send at 5 Hz, a server, and an observer."""
     plan = plan_world([f"r{k + 1}" for k in range(robots)], scratch, moving=False, seed=0)
     with LocalFleet(logs) as fleet:
         start(fleet, FleetPlan((), plan.truth, plan.world), 2, scratch / "state")
         options = ("load", *fleet.connection, *replay_arguments(plan, RATE_HZ, frames=4))
         fleet.start("load", "fleetpose.evaluation", *options)
-        link = open_link(fleet)
-        observer = Observer(link, Keys(fleet.site))
-        try:
+        with observed(fleet) as observer:
             wait_started(fleet, observer, robots)
-            yield fleet, plan, link, observer
-        finally:
-            observer.close()
-            link.close()
+            yield fleet, plan, observer
 
 
-def clickable_pairs(fleet: LocalFleet, plan: FleetPlan, observer: Observer) -> list[Pair]:
-    """The pairs of robots that see enough in common, by the truth.
+def clickable(
+    fleet: LocalFleet, plan: FleetPlan, observer: Observer, least: int = MIN_PLACES
+) -> list[Places]:
+    """Where the pairs of robots can be clicked that see so many places in common, by the truth.
 
     Raises:
         FleetPoseError: there are none.
     """
 
     def seen() -> list[SeenView]:
-        views = [observer.newest_view(name) for name in plan.names]
-        return [view for view in views if view is not None]
+        return [view for name in plan.names if (view := observer.newest_view(name)) is not None]
 
     wait_running(fleet, lambda: len(seen()) == len(plan.names), UP_WITHIN_S)
-    pairs = [
-        (i.view.name.robot, j.view.name.robot)
-        for i, j in itertools.combinations(seen(), 2)
-        if len(plan.truth.correspondences(i, j)[0]) >= MIN_PLACES
-    ]
-    if not pairs:
+    pairs = itertools.combinations(seen(), 2)
+    places = [Places(i, j, *plan.truth.correspondences(i, j)) for i, j in pairs]
+    found = [one for one in places if len(one.uv_i) >= least]
+    if not found:
         raise FleetPoseError(f"no two robots see the same; the logs are in {fleet.directory}")
-    return pairs
+    return found
 
 
 @contextmanager

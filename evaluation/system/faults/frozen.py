@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
-from fleetpose.evaluation.system.faults.desk import Pair, clickable_pairs, operator, replayed_fleet
+from fleetpose.evaluation.system.faults.desk import clickable, operator, replayed_fleet
+from fleetpose.evaluation.system.faults.heard import Pair
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.transport import wait_until
@@ -79,8 +80,8 @@ def run(seconds: float, scratch: Path, logs: Path, progress: Callable[[], None])
     Raises:
         FleetPoseError: the fleet does not come up, or the frozen client never comes back.
     """
-    with replayed_fleet(ROBOTS, scratch, logs) as (fleet, plan, _, observer):
-        pair = clickable_pairs(fleet, plan, observer)[0]
+    with replayed_fleet(ROBOTS, scratch, logs) as (fleet, plan, observer):
+        pair = clickable(fleet, plan, observer)[0].pair
         module = "fleetpose.evaluation.system.faults.desk"
         where = ("op-frozen", fleet.endpoint, fleet.site)
         fleet.start(_READER, module, *where, *pair, json_lines=True)

@@ -6,6 +6,7 @@ faults are there from the beginning, others begin when all robots are located (`
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 from fleetpose.evaluation.metrics.fleet_scoring import SampleRow, score_sample, summarize_poses
 from fleetpose.evaluation.metrics.scoring import Limits, share
 from fleetpose.evaluation.report.output import write_csv
-from fleetpose.evaluation.system.faults.faulty import CLOCK_AHEAD_S
+from fleetpose.evaluation.system.faults.troubled import CLOCK_AHEAD_S
 from fleetpose.evaluation.system.faults.troubles import (
     FAULTY,
     Carried,
@@ -30,7 +31,7 @@ from fleetpose.evaluation.system.faults.troubles import (
 )
 from fleetpose.evaluation.system.fleet import (
     FleetPlan,
-    open_link,
+    observed,
     plan_world,
     poses_now,
     start_robot,
@@ -39,12 +40,10 @@ from fleetpose.evaluation.system.fleet import (
 )
 from fleetpose.evaluation.system.observer import Observer
 from fleetpose.protocol.errors import FleetPoseError
-from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import ViewName
 from fleetpose.protocol.transport import wait_until
 
 ROBOTS = 4
-SECONDS = 50.0
 _TURNING = ("--turning", FAULTY)
 _RATE_HZ = 1.0  # of the faulty robot; the others stand still
 _POLL_S = 0.2
@@ -177,10 +176,9 @@ def run(
     run = _Run(name, fault, Watch(fault))
     with LocalFleet(logs) as fleet:
         start_servers(fleet, plan, 2, scratch / "state")
-        link = open_link(fleet)
-        observer = Observer(link, Keys(fleet.site))
-        trouble = fault.trouble(fleet, plan, observer, link, scratch)
-        try:
+        with observed(fleet) as observer, ExitStack() as closing:
+            trouble = fault.trouble(fleet, plan, observer, observer.link, scratch)
+            closing.callback(trouble.close)
             _start_robots(name, fault, trouble)
             wait_started(fleet, observer, robots)
             if fault.later:
@@ -188,10 +186,6 @@ def run(
                 trouble.begin()
             run.watch_for(seconds, trouble, names, progress, until_named)
             depth_m = plan.truth.median_depth_m(observer.newest_views())
-        finally:
-            trouble.close()
-            observer.close()
-            link.close()
     return _summary(run, depth_m, plan, logs, fleet)
 
 
@@ -204,8 +198,8 @@ def _start_robots(name: str, fault: Fault, trouble: Trouble) -> None:
         elif fault.later or not fault.in_robot:
             trouble.start(replace(robot, rate_hz=_RATE_HZ))
         else:
-            where = (FAULTY, fleet.endpoint, fleet.site, robot.data, name, str(_RATE_HZ))
-            fleet.start(FAULTY, "fleetpose.evaluation.system.faults.faulty", *where, nice=10)
+            where = (name, FAULTY, fleet.endpoint, fleet.site, str(_RATE_HZ), robot.data)
+            fleet.start(FAULTY, "fleetpose.evaluation.system.faults.troubled", *where, nice=10)
 
 
 @dataclass

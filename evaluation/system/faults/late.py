@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
-from fleetpose.evaluation.system.faults.desk import Pair, clickable_pairs, operator, replayed_fleet
+from fleetpose.evaluation.system.faults.desk import clickable, operator, replayed_fleet
+from fleetpose.evaluation.system.faults.heard import Pair
 from fleetpose.evaluation.system.fleet import FleetPlan
 from fleetpose.evaluation.system.observer import Observer, SeenView
 from fleetpose.hmi_client.model.session import OperatorSession
@@ -43,8 +44,8 @@ def run(
         FleetPoseError: the fleet does not come up, or clicks are not receipted.
     """
     tickets: list[Ticket] = []
-    with replayed_fleet(ROBOTS, scratch, logs) as (fleet, plan, _, observer):
-        pairs = clickable_pairs(fleet, plan, observer)
+    with replayed_fleet(ROBOTS, scratch, logs) as (fleet, plan, observer):
+        pairs = [one.pair for one in clickable(fleet, plan, observer)]
         with ExitStack() as desks:
             sessions = [
                 desks.enter_context(

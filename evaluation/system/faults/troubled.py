@@ -1,8 +1,9 @@
-"""A robot of the synthetic world that is well until it gets SIGUSR1, and tells what became of it.
+"""A robot of the synthetic world with something wrong: its calibration, its clock, its trigger, the
+driver of its camera; or one that is well until it gets SIGUSR1, and tells what became of it.
 
-The robot's own program is as it always is; what its devices give it is not. For every frame it
-writes a line of JSON: its stamp, the place in the world where it truly stands, and how far it has
-driven from there. Only the evaluation reads these.
+The robot's own program is as it always is; what its devices give it is not. With trouble that comes
+later it writes a line of JSON for every frame: its stamp, the place in the world where it truly
+stands, and how far it has driven from there. Only the evaluation reads these.
 """
 
 import json
@@ -17,15 +18,19 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from fleetpose.evaluation.simulate.replay_robots import stop_at_signals
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.logs import log_to_stderr
 from fleetpose.protocol.transport import SessionSettings
 from fleetpose.robot_agent.agent import paced
-from fleetpose.robot_agent.cameras.base import Frame
+from fleetpose.robot_agent.cameras.base import DepthImage, DisparityImage, Frame
 from fleetpose.robot_agent.cameras.synthetic import SyntheticCamera, WorldLink
 from fleetpose.robot_agent.client import FleetRobot
 from fleetpose.robot_agent.sender import SenderSettings
 
+SKEW_MS = 200
+CLOCK_AHEAD_S = 3.0
+BASELINE_RATIO = 1.05
 CLOCK_BACK_S = 60.0
 SPEED_M_S = 0.5
 
@@ -38,13 +43,13 @@ class Shown:
     """A frame as the robot gets it, and the truth of it.
 
     Attributes:
-        place: where the robot stands, by its name in the world.
+        place: where the robot stands, by its name in the world; empty where that is not told.
         driven_m: how far forward it has driven from there.
         wheels: whether the robot has odometry, which says so too.
     """
 
     frame: Frame
-    place: str
+    place: str = ""
     driven_m: float = 0.0
     wheels: bool = False
 
@@ -90,7 +95,58 @@ def clock_step(sources: list[str], trouble: Trouble) -> Iterator[Shown]:
         yield Shown(replace(frame, stamp_ns=frame.stamp_ns - back_ns), _place(sources[0]))
 
 
+def skew(sources: list[str], trouble: Trouble) -> Iterator[Shown]:
+    """Each image comes with depths that were measured before it."""
+    del trouble
+    before = SyntheticCamera(WorldLink(f"{sources[0]}@{SKEW_MS}")).frames()
+    for frame in SyntheticCamera(WorldLink(sources[0])).frames():
+        yield Shown(replace(frame, ranges=next(before).ranges))
+
+
+def clock(sources: list[str], trouble: Trouble) -> Iterator[Shown]:
+    """The robot's clock is 3 s ahead."""
+    del trouble
+    for frame in SyntheticCamera(WorldLink(sources[0])).frames():
+        yield Shown(replace(frame, stamp_ns=frame.stamp_ns + round(1e9 * CLOCK_AHEAD_S)))
+
+
+def baseline(sources: list[str], trouble: Trouble) -> Iterator[Shown]:
+    """The calibration states a baseline that is 5 % too long."""
+    del trouble
+    link = WorldLink(sources[0])
+    link.calibration["t"] = [BASELINE_RATIO * x for x in link.calibration["t"]]
+    yield from map(Shown, SyntheticCamera(link).frames())
+
+
+def mirrored(sources: list[str], trouble: Trouble) -> Iterator[Shown]:
+    """The driver turns images and depths round."""
+    del trouble
+    yield from map(Shown, flipped(SyntheticCamera(WorldLink(sources[0])).frames()))
+
+
+def flipped(frames: Iterator[Frame]) -> Iterator[Frame]:
+    """Frames whose images and depths are the wrong way round, with intrinsics that know nothing of
+    it: the default of a common driver.
+    """
+    for frame in frames:
+        ranges = frame.ranges
+        match ranges:
+            case DisparityImage():
+                turned = np.ascontiguousarray(ranges.disparity_px[:, ::-1])
+                ranges = replace(ranges, disparity_px=turned)
+            case DepthImage():
+                turned = np.ascontiguousarray(ranges.depth_m[:, ::-1])
+                ranges = replace(ranges, depth_m=turned)
+            case _:
+                raise FleetPoseError("only images of depth or disparity can be flipped")
+        yield replace(frame, image=np.ascontiguousarray(frame.image[:, ::-1]), ranges=ranges)
+
+
 TROUBLES: dict[str, Callable[[list[str], Trouble], Iterator[Shown]]] = {
+    "skew": skew,
+    "clock": clock,
+    "baseline": baseline,
+    "mirrored": mirrored,
     "frozen": frozen,
     "still": still,
     "kidnapped": kidnapped,
@@ -112,11 +168,7 @@ def _place(source: str) -> str:
 
 
 def _tell(shown: Shown) -> None:
-    line = {
-        "stamp_ns": shown.frame.stamp_ns,
-        "place": shown.place,
-        "driven_m": shown.driven_m,
-    }
+    line = {"stamp_ns": shown.frame.stamp_ns, "place": shown.place, "driven_m": shown.driven_m}
     print(json.dumps(line), flush=True)
 
 
@@ -135,14 +187,13 @@ def main() -> None:
         raise FleetPoseError(f"no trouble '{kind}': there are {', '.join(TROUBLES)}")
     log_to_stderr()
     cv2.setNumThreads(1)
-    stop, trouble = threading.Event(), Trouble()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop, trouble = stop_at_signals(), Trouble()
     signal.signal(signal.SIGUSR1, lambda *_: trouble.clear() if trouble.is_set() else trouble.set())
     settings = SessionSettings(connect=(endpoint,))
     with FleetRobot(name, settings, site, settings=SenderSettings(float(rate))) as robot:
         for shown in paced(TROUBLES[kind](sources, trouble), float(rate), stop):
-            _tell(shown)
+            if shown.place:
+                _tell(shown)
             _push(robot, shown)
 
 

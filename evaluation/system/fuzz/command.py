@@ -4,7 +4,6 @@ Every sample sent is refused by its reader's own decoder, tried here first. So e
 once, by each of its readers, and nothing else may happen.
 """
 
-import itertools
 import random
 import re
 import tempfile
@@ -18,17 +17,13 @@ from typing import Any
 import zenoh
 
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
-from fleetpose.evaluation.report.output import (
-    output_folder,
-    print_table,
-    progress_bar,
-    write_summary,
-)
-from fleetpose.evaluation.system.faults.clicker import Clicker, Places
-from fleetpose.evaluation.system.fleet import FleetPlan, open_link, plan_world, start, wait_started
+from fleetpose.evaluation.report import output
+from fleetpose.evaluation.system.faults.clicker import Clicker
+from fleetpose.evaluation.system.faults.desk import clickable
+from fleetpose.evaluation.system.fleet import FleetPlan, observed, plan_world, start, wait_started
 from fleetpose.evaluation.system.fuzz.state import Ear, Told, changes, fingerprint
 from fleetpose.evaluation.system.fuzz.targets import OPERATOR, Target, targets_of
-from fleetpose.evaluation.system.observer import Observer, SeenView
+from fleetpose.evaluation.system.observer import Observer
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.transport import Link, Sample, wait_until
@@ -99,7 +94,7 @@ def run(messages: int, out: Path, seed: int = 0) -> dict[str, Any]:
     """
     if messages < 1:
         raise FleetPoseError(f"--messages {messages}: give 1 or more")
-    logs = output_folder(out) / "logs"
+    logs = output.output_folder(out) / "logs"
     for old in (*logs.glob("*.log"), *logs.glob("*.jsonl")):
         old.unlink()
     with tempfile.TemporaryDirectory(prefix="fleetpose-") as scratch, LocalFleet(logs) as fleet:
@@ -107,10 +102,9 @@ def run(messages: int, out: Path, seed: int = 0) -> dict[str, Any]:
         fleet.close()
         summary["leftover_processes"] = fleet.leftover_processes()
     summary["crashed"] += len(_tracebacks(logs) - set(summary["ended"]))
-    write_summary(out, summary)
-    print_table("refused by kind", ("kind", "sent"), sorted(summary["by_kind"].items()))
-    rows = ((k, v) for k, v in summary.items() if not isinstance(v, dict | list))
-    print_table("fuzz", ("what", "value"), rows)
+    output.write_summary(out, summary)
+    output.print_table("refused by kind", ("kind", "sent"), sorted(summary["by_kind"].items()))
+    output.print_table("fuzz", ("what", "value"), output.scalars(summary))
     for sentence in summary["changes"][:10]:
         print(sentence[:300])
     return summary
@@ -130,10 +124,8 @@ def _fuzz(fleet: LocalFleet, scratch: Path, messages: int, chance: random.Random
     keys = Keys(fleet.site)
     with ExitStack() as closing:
         start(fleet, plan, 2, scratch / "state")
-        link = open_link(fleet)
-        closing.callback(link.close)
-        observer = Observer(link, keys)
-        closing.callback(observer.close)
+        observer = closing.enter_context(observed(fleet))
+        link = observer.link
         wait_started(fleet, observer, ROBOTS)
         ear = Ear(link, keys, plan.names)
         _click(fleet, plan, observer, link, keys)
@@ -173,7 +165,7 @@ def _fuzz(fleet: LocalFleet, scratch: Path, messages: int, chance: random.Random
 
 def _click(fleet: LocalFleet, plan: FleetPlan, observer: Observer, link: Link, keys: Keys) -> None:
     """An operator's correspondences, so that there is something to lose."""
-    clicker = Clicker(link, keys, _places(fleet, plan, observer), per_s=10.0)
+    clicker = Clicker(link, keys, clickable(fleet, plan, observer, 2 * CLICKS), per_s=10.0)
     try:
         clicker.start()
         done = wait_running(fleet, lambda: clicker.receipted >= CLICKS, UP_WITHIN_S)
@@ -182,23 +174,6 @@ def _click(fleet: LocalFleet, plan: FleetPlan, observer: Observer, link: Link, k
             raise FleetPoseError(f"no receipts; the logs are in {fleet.directory}")
     finally:
         clicker.close()
-
-
-def _places(fleet: LocalFleet, plan: FleetPlan, observer: Observer) -> list[Places]:
-    """Where pairs can be clicked, by the truth."""
-
-    def seen() -> list[SeenView]:
-        return [view for name in plan.names if (view := observer.newest_view(name)) is not None]
-
-    wait_running(fleet, lambda: len(seen()) == len(plan.names), UP_WITHIN_S)
-    places = [
-        Places(i, j, *plan.truth.correspondences(i, j))
-        for i, j in itertools.combinations(seen(), 2)
-    ]
-    found = [one for one in places if len(one.uv_i) >= 2 * CLICKS]
-    if not found:
-        raise FleetPoseError(f"no two robots see the same; the logs are in {fleet.directory}")
-    return found
 
 
 def _settled(
@@ -245,7 +220,7 @@ def _fire(
     """Sends in batches; within one, no cloud key comes twice."""
     sent = Sent()
     shares = [target.share for target in targets]
-    with progress_bar() as progress:
+    with output.progress_bar() as progress:
         task = progress.add_task("messages", total=messages)
         while sent.messages < messages:
             used: set[str] = set()

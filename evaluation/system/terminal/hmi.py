@@ -9,12 +9,8 @@ from typing import Any
 
 from fleetpose.deploy.local_fleet import LocalFleet
 from fleetpose.evaluation.metrics.scoring import percentile
-from fleetpose.evaluation.report.output import (
-    output_folder,
-    print_table,
-    progress_bar,
-    write_summary,
-)
+from fleetpose.evaluation.options.fleets import HmiOptions
+from fleetpose.evaluation.report.output import output_folder, progress_bar, write_summary
 from fleetpose.evaluation.system.terminal.meter import Metered
 from fleetpose.evaluation.system.terminal.picking import Picker
 from fleetpose.evaluation.system.terminal.tmux import Terminal
@@ -26,18 +22,6 @@ KEY_LOST_S = 2.0
 STALL_S = 4.0  # a terminal that hangs: how late is the screen afterwards
 WARM_S = 5.0  # before anything counts: imports, the first paint, caches
 STAND_IN = "stand-in"
-
-
-@dataclass(frozen=True)
-class HmiOptions:
-    """What `pose-eval hmi` is asked for."""
-
-    robots: int = 72
-    seconds: float = 60.0
-    moving: bool = False
-    targets: int = 50
-    columns: int = 160
-    rows: int = 50
 
 
 @dataclass
@@ -85,8 +69,7 @@ def run(options: HmiOptions, out: Path) -> dict[str, Any]:
         "pick_error_px_max_mouse": by_mouse,
         "picks": 2 * options.targets,
     }
-    write_summary(folder, summary)
-    print_table("the text client", ("what", "value"), list(summary.items()))
+    write_summary(folder, summary, "the text client")
     return summary
 
 
@@ -101,7 +84,7 @@ def _measured(fleet: LocalFleet, options: HmiOptions) -> _Cost:
     command, state = _client(fleet, "metered")
     cost = _Cost()
     with (
-        Metered(command, options.columns, options.rows, state) as client,
+        Metered(command, *options.size, state) as client,
         progress_bar() as progress,
     ):
         _started(client, fleet)
@@ -123,11 +106,7 @@ def _measured(fleet: LocalFleet, options: HmiOptions) -> _Cost:
             fleet.check()
         cost.seconds = time.monotonic() - began_s
         cpu_s = client.cpu_s - cpu_s
-        cost.bytes_out, cost.cpu_s, cost.rss_mb = (
-            client.bytes_out,
-            cpu_s,
-            client.rss_mb,
-        )
+        cost.bytes_out, cost.cpu_s, cost.rss_mb = client.bytes_out, cpu_s, client.rss_mb
         time.sleep(STALL_S)  # nobody reads: the terminal hangs
         client.press(b"\x1b[A")
         stalled_s = client.read_until(", 239 px", KEY_LOST_S)
@@ -148,7 +127,7 @@ def _started(client: Metered, fleet: LocalFleet) -> None:
 def _picked(fleet: LocalFleet, options: HmiOptions, notes: Path, by_mouse: bool) -> float:
     """The largest error of all targets, px."""
     command, state = _client(fleet, "mouse" if by_mouse else "keys")
-    with Terminal(command, options.columns, options.rows, state) as terminal:
+    with Terminal(command, *options.size, state) as terminal:
         terminal.wait_text("Press n", START_S)
         terminal.press("n")
         terminal.wait_text("320, 240 px", START_S)

@@ -10,15 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
-from fleetpose.evaluation.data.recording import CloudKind
 from fleetpose.evaluation.metrics.geometry import Floats, inverse
-from fleetpose.evaluation.metrics.scoring import position_error_m, rotation_error_deg
-from fleetpose.evaluation.report.output import output_folder, print_table, write_summary
+from fleetpose.evaluation.metrics.scoring import pose_errors
+from fleetpose.evaluation.options.fleets import OperateOptions
+from fleetpose.evaluation.report.output import output_folder, write_summary
 from fleetpose.evaluation.system.fleet import (
-    FleetOptions,
     FleetPlan,
     kept_apart,
-    open_link,
+    observed,
     plan_fleet,
     start,
     wait_started,
@@ -29,29 +28,13 @@ from fleetpose.evaluation.system.terminal.interruption import Interruption
 from fleetpose.evaluation.system.terminal.tmux import Terminal
 from fleetpose.protocol.codec import unpack
 from fleetpose.protocol.errors import FleetPoseError
-from fleetpose.protocol.keys import Keys, ordered_pair
+from fleetpose.protocol.keys import ordered_pair
 from fleetpose.protocol.messages import Alignment, PairCorrespondences
-from fleetpose.protocol.transport import Link, Sample
+from fleetpose.protocol.transport import Sample
 
 SETTLE_S = 40.0  # for the machine to find what it can by itself
 ANSWER_S = 20.0  # from the last click to the joined fleet
 OK_SHARE, OK_DEG = 0.02, 2.0
-
-
-@dataclass(frozen=True)
-class OperateOptions:
-    """What `pose-eval operate` is asked for."""
-
-    data: Path | None
-    clouds: CloudKind | None
-    robots: int = 3
-    first: int = 0
-    points: int = 3
-    by_hand: bool = False
-    kill_server: bool = False
-    columns: int = 160
-    rows: int = 50
-    theme: str = "auto"
 
 
 @dataclass
@@ -96,30 +79,22 @@ def run(options: OperateOptions, out: Path) -> dict[str, Any]:
     Raises:
         FleetPoseError: the data cannot be used, or the screen did not go on as it should.
     """
+    of_fleet = options.of_fleet()
+    of_fleet.in_metres()  # what cannot be is said before anything is made
     folder = output_folder(out)
     screens = folder / "screens"
     for old in screens.glob("*.txt"):
         old.unlink()
     with tempfile.TemporaryDirectory(prefix="fleetpose-") as scratch:
-        plan = plan_fleet(
-            FleetOptions(options.robots, 0.0, options.data, options.clouds, options.first),
-            Path(scratch),
-        )
+        plan = plan_fleet(of_fleet, Path(scratch))
         skip = kept_apart(plan.names, Path(scratch))
         shutil.rmtree(folder / "logs", ignore_errors=True)
         with LocalFleet(folder / "logs") as fleet:
             start(fleet, plan, 2, Path(scratch) / "state", skip)
-            link = open_link(fleet)
-            observer = Observer(link, Keys(fleet.site))
-            try:
+            with observed(fleet) as observer:
                 wait_started(fleet, observer, len(plan.robots))
-                summary = _operated(fleet, plan, observer, link, options, screens)
-            finally:
-                observer.close()
-                link.close()
-    write_summary(folder, summary)
-    rows = [(name, value) for name, value in summary.items()]
-    print_table("an operator at the keyboard", ("what", "value"), rows)
+                summary = _operated(fleet, plan, observer, options, screens)
+    write_summary(folder, summary, "an operator at the keyboard")
     return summary
 
 
@@ -127,13 +102,12 @@ def _operated(
     fleet: LocalFleet,
     plan: FleetPlan,
     observer: Observer,
-    link: Link,
     options: OperateOptions,
     screens: Path,
 ) -> dict[str, Any]:
-    told, keys_of = _Told(), Keys(fleet.site)
-    link.on_latched(keys_of.alignment("*", "*"), told.store)
-    link.on_latched(keys_of.correspondences("*", "*"), told.store_set)
+    told, keys = _Told(), observer.keys
+    observer.link.on_latched(keys.alignment("*", "*"), told.store)
+    observer.link.on_latched(keys.correspondences("*", "*"), told.store_set)
     last = plan.names[-1]
     if not wait_running(fleet, lambda: _is_asked_about(observer, plan), SETTLE_S):
         raise FleetPoseError(f"after {SETTLE_S:.0f} s nothing is asked about the robot apart")
@@ -141,7 +115,7 @@ def _operated(
     command = [sys.executable, "-P", *client, "--theme", options.theme]
     state = {"XDG_STATE_HOME": str(fleet.directory / "client")}
     began_s = time.monotonic()
-    with Terminal(command, options.columns, options.rows, state) as terminal:
+    with Terminal(command, *options.size, state) as terminal:
         terminal.wait_text("Press n", 30.0)
         terminal.keep(screens, "start")
         killed = Interruption(fleet, terminal, screens) if options.kill_server else None
@@ -154,7 +128,7 @@ def _operated(
         kept = wait_running(fleet, lambda: told.clicks(pair) == len(fingers.picked), ANSWER_S)
         shown = joined and bool(terminal.wait_text("joined"))
         terminal.keep(screens, "joined" if joined else "not-joined")
-        keys = terminal.keys
+        pressed = terminal.keys
         seconds = time.monotonic() - began_s
     # the pose may overtake the alignment that it came from
     wait_running(fleet, lambda: told.is_aligned(pair), ANSWER_S)
@@ -163,7 +137,7 @@ def _operated(
         "robots": len(plan.names),
         "points": len(fingers.picked),
         "by_suggestion": fingers.suggested,
-        "keys": keys,
+        "keys": pressed,
         "seconds": round(seconds, 1),
         "joined": joined,
         "joined_s": round(joined_s, 2),
@@ -204,8 +178,7 @@ def _judged(
         return nothing
     cameras = [one.view.camera.T_robot_camera for one in seen if one is not None]
     T_true: Floats = inverse(T_world[0] @ cameras[0]) @ (T_world[1] @ cameras[1])
-    off_m = position_error_m(T_true, alignment.T_i_j)
-    off_deg = rotation_error_deg(T_true, alignment.T_i_j)
+    off_m, off_deg = pose_errors(T_true, alignment.T_i_j)
     depth_m = plan.truth.median_depth_m(observer.newest_views())
     return {
         "verdict": alignment.verdict,

@@ -6,7 +6,6 @@ subscribes to.
 """
 
 import json
-import signal
 import threading
 import time
 from collections import deque
@@ -17,6 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from fleetpose.evaluation.simulate.replay_robots import stop_at_signals
 from fleetpose.evaluation.simulate.world.materials.facades import Style, facade
 from fleetpose.protocol.codec import encoding_of, pack, unpack
 from fleetpose.protocol.keys import Keys, new_epoch
@@ -80,9 +80,7 @@ class Load:
 
 def run(load: Load, connect: tuple[str, ...], site: str, notes: Path) -> None:
     """Says until SIGTERM or SIGINT; the operator's updates go to `notes`, a JSON line each."""
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_at_signals()
     link = Link(open_session(SessionSettings(connect=connect)))
     try:
         StandIn(link, Keys(site), load, notes).run(stop)

@@ -6,15 +6,39 @@ Lengths are in pixels. The same generator state gives the same texture to the la
 """
 
 from collections.abc import Sequence
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 Texture = npt.NDArray[np.floating]
+Canvas = npt.NDArray[Any]
 Field = npt.NDArray[np.floating]
 Colour = tuple[float, float, float]
 Rng = np.random.Generator
+T = TypeVar("T")
+_SLABS = [(150, 158, 165), (138, 146, 158), (160, 164, 166)]
+_COBBLES = [(105, 112, 122), (120, 124, 130), (95, 100, 112)]
+_LITTER = [(40, 120, 200), (30, 80, 170), (60, 160, 190)]
+_LITTER += [(200, 205, 210), (35, 45, 50), (70, 130, 80)]
+
+
+def one_of(rng: Rng, choices: Sequence[T]) -> T:
+    """Any of them."""
+    return choices[int(rng.integers(len(choices)))]
+
+
+def dot(image: Texture, at: Sequence[int], radius: int, colour: Sequence[float]) -> None:
+    """Draws a filled circle."""
+    cv2.circle(image, at, radius, colour, -1, cv2.LINE_AA)
+
+
+def spot(
+    image: Canvas, at: Sequence[int], axes: Sequence[int], turn: float, colour: Sequence[float]
+) -> None:
+    """Draws a filled ellipse, turned by so many degrees."""
+    cv2.ellipse(image, at, axes, turn, 0, 360, colour, -1, cv2.LINE_AA)
 
 
 def noise(
@@ -107,9 +131,8 @@ def cracked(rng: Rng, texture: Texture, count: int) -> Texture:
         steps = int(rng.integers(12, 45))
         heading = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.45, steps))
         start = rng.uniform((0, 0), (width, height))
-        line = start + np.cumsum(
-            np.column_stack((np.cos(heading), np.sin(heading))), 0
-        ) * rng.uniform(2, 6)
+        steps = np.column_stack((np.cos(heading), np.sin(heading)))
+        line = start + np.cumsum(steps, 0) * rng.uniform(2, 6)
         cv2.polylines(ink, [np.rint(line * 8).astype(np.int32)], False, 255, 1, cv2.LINE_AA, 3)
     return blended(texture, (35, 40, 45), ink.astype(np.float32) / 255 * 0.7)
 
@@ -144,9 +167,7 @@ def wood(rng: Rng, height: int, width: int, colour: Colour, plank: float = 18) -
     texture = modulated(boards, np.asarray(grain, np.float32), 0.13)
     texture = modulated(texture, noise(rng, height, width, 50, 4), 0.08)
     for u, v in rng.uniform((0, 0), (width, height), (height * width // 4000, 2)):
-        cv2.ellipse(
-            texture, (int(u), int(v)), (2, 4), 0, 0, 360, [0.5 * c for c in colour], -1, cv2.LINE_AA
-        )
+        spot(texture, (int(u), int(v)), (2, 4), 0, [0.5 * c for c in colour])
     gap = np.clip(1.5 - x % plank, 0, 1)[None, :].repeat(height, 0)
     return blended(texture, (20, 22, 25), 0.8 * gap)
 
@@ -164,26 +185,9 @@ def roof_tiles(
 
 def paving(rng: Rng, size: int, slab: float) -> Texture:
     """A square of worn slabs with patches of cobble, stains, leaves and litter."""
-    slabs = masonry(
-        rng,
-        size,
-        size,
-        (slab * 1.4, slab),
-        [(150, 158, 165), (138, 146, 158), (160, 164, 166)],
-        1.4,
-        (112, 118, 122),
-        0.06,
-    )
-    cobbles = masonry(
-        rng,
-        size,
-        size,
-        (slab * 0.34, slab * 0.3),
-        [(105, 112, 122), (120, 124, 130), (95, 100, 112)],
-        1.5,
-        (82, 87, 90),
-        0.1,
-    )
+    whole, small = (slab * 1.4, slab), (slab * 0.34, slab * 0.3)
+    slabs = masonry(rng, size, size, whole, _SLABS, 1.4, (112, 118, 122), 0.06)
+    cobbles = masonry(rng, size, size, small, _COBBLES, 1.5, (82, 87, 90), 0.1)
     where = np.clip(noise(rng, size, size, size / 5, 3, 0.5) * 12 - 4, 0, 1)
     texture = blended(slabs, cobbles, where)
     texture = modulated(texture, noise(rng, size, size, size / 6, 7, 0.7), 0.1)
@@ -195,50 +199,26 @@ def _littered(rng: Rng, texture: Texture) -> Texture:
     stains = np.zeros((size, size), np.uint8)
     for _ in range(size // 9):
         centre, axes = rng.integers(0, size, 2).tolist(), rng.integers(3, 26, 2).tolist()
-        cv2.ellipse(
-            stains,
-            centre,
-            axes,
-            float(rng.uniform(0, 180)),
-            0,
-            360,
-            int(rng.integers(70, 200)),
-            -1,
-            cv2.LINE_AA,
-        )
+        turn = float(rng.uniform(0, 180))
+        spot(stains, centre, axes, turn, [int(rng.integers(70, 200))])
     stains = cv2.GaussianBlur(stains, (0, 0), 2.0).astype(np.float32) / 255
     texture = texture * (1 - 0.5 * stains)[..., None]
-    colours = [
-        (40, 120, 200),
-        (30, 80, 170),
-        (60, 160, 190),
-        (200, 205, 210),
-        (35, 45, 50),
-        (70, 130, 80),
-    ]
     for _ in range(size):
-        colour = colours[int(rng.integers(len(colours)))]
+        colour = one_of(rng, _LITTER)
         centre, axes = rng.integers(0, size, 2).tolist(), rng.integers(2, 6, 2).tolist()
-        cv2.ellipse(
-            texture, centre, axes, float(rng.uniform(0, 180)), 0, 360, colour, -1, cv2.LINE_AA
-        )
+        spot(texture, centre, axes, float(rng.uniform(0, 180)), colour)
     return cracked(rng, texture, size // 40)
 
 
 def sky(rng: Rng, height: int, width: int) -> Texture:
     """A panorama, full circle by 90 degrees above the horizon (last row): clouds on a gradient."""
     up = np.linspace(1, 0, height, dtype=np.float32)[:, None]
-    clear = np.stack(
-        [
-            np.broadcast_to(a * up + b * (1 - up), (height, width))
-            for a, b in ((205, 232), (150, 216), (105, 200))
-        ],
-        -1,
-    )
+    tones = ((205, 232), (150, 216), (105, 200))
+    shades = [np.broadcast_to(a * up + b * (1 - up), (height, width)) for a, b in tones]
+    clear = np.stack(shades, -1)
     tile = noise(rng, height, 2 * width, width / 14, 6, 0.6)
     fade = np.linspace(0, 1, width, dtype=np.float32)[None, :]
-    seamless = (
-        tile[:, width:] * (1 - fade) + tile[:, :width] * fade
-    )  # first column continues the last
+    # the first column continues the last
+    seamless = tile[:, width:] * (1 - fade) + tile[:, :width] * fade
     cloud = np.clip(0.9 * seamless - 0.1, 0, 1) * np.clip(1.6 * up + 0.25, 0, 1)
     return blended(clear.astype(np.float32), (246, 243, 240), 0.85 * cloud)

@@ -1,0 +1,95 @@
+"""Commands about whole fleets, without a network."""
+
+import typer
+
+from fleetpose.evaluation.options.building import of
+from fleetpose.evaluation.options.fleets import SynthOptions
+from fleetpose.evaluation.options.recorded import (
+    MapOptions,
+    Out,
+    QuestionsOptions,
+    RingOptions,
+    SolveOptions,
+)
+
+app = typer.Typer()
+
+
+@app.command()
+@of(RingOptions)
+def ring(options: RingOptions, out: Out) -> None:
+    """Put robots on rings at 5 to 45 degrees, click on all neighbours, and locate them: the paper's
+    Figs. 9 and 10.
+
+    Every separation that the views allow is one ring: regular angles where the recording tells each
+    view's place on its ring, every k-th view along the path elsewhere. Writes ring.csv, poses.csv,
+    pairs.csv, summary.json, fig9.png and fig10.png; by the full recipe also fleet3d.png: the ring
+    of the smallest separation in 3D, without clicks, like the paper's Fig. 8. A summary of the
+    other recipe that is in the folder already is drawn beside this one. `--recipe both` leaves the
+    tables in OUT/paper and OUT/full. Quick: --clicks 0,3 --draws 3.
+    """
+    from fleetpose.evaluation.bench.ring.command import run
+
+    run(options, out)
+
+
+@app.command("map")
+@of(MapOptions)
+def fleet_map(options: MapOptions, out: Out) -> None:
+    """Put a fleet together without network and clicks, merge its map, and lay it beside the truth:
+    how far poses move points, how far the map is from the true cloud and the true cloud from the
+    map, and how far noise alone would bring it, with the poses true.
+
+    Writes map.ply, map.png and summary.json.
+    """
+    from fleetpose.evaluation.bench.mapping.command import run
+
+    run(options, out)
+
+
+@app.command()
+@of(SynthOptions)
+def synth(options: SynthOptions, out: Out) -> None:
+    """Write a synthetic world as a folder of posed views: the town square with robots on a ring at
+    360/N degrees, or with --world a place of alike parts with robots here and there.
+
+    Then run it: `pose-eval ring --data OUT --clouds stereo_dense --out RESULTS`; a plan:
+    `pose-eval pairs --data OUT --clouds stereo_dense --out RESULTS`.
+    """
+    from fleetpose.evaluation.bench.synth import run
+
+    run(options, out)
+
+
+@app.command()
+@of(SolveOptions)
+def solve(options: SolveOptions, out: Out) -> None:
+    """Solve a fleet's pose graph, without cameras or a network: how fast, and does it find the
+    wrong edges.
+
+    Half of the edges are there at first, the others come one by one. Robots are joined by a tree
+    of right edges; wrong ones are as sure of themselves as the right ones.
+    """
+    from fleetpose.evaluation.bench import solve as solving
+
+    if options.g2o is not None:
+        solving.run_recorded(options.g2o, out)
+    else:
+        solving.run(options, out)
+
+
+@app.command()
+@of(QuestionsOptions)
+def questions(options: QuestionsOptions, out: Out) -> None:
+    """Count clicks until the whole fleet is located and right: by the server's questions, by the
+    paper's rule (the largest error of the matrix first), by chance, and at least.
+
+    Each seed draws 8 to 12 views as robots that fall into several parts after all pairs were
+    aligned automatically, or that are joined wrongly. A simulated operator clicks three points per
+    question, 1.5 px off; two images with too little in common cost two clicks. With --mistakes some
+    questions are answered by the next window, one step along, left for right, or by one such point
+    among right ones. Writes runs.csv, summary.json and clicks.png.
+    """
+    from fleetpose.evaluation.bench.questions.command import run
+
+    run(options, out)

@@ -1,0 +1,102 @@
+"""Commands about pairs of views: how well they are aligned, and what clicks do for them."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fleetpose.evaluation.options.building import of
+from fleetpose.evaluation.options.recorded import (
+    AlignOptions,
+    ClicksOptions,
+    Out,
+    PairsOptions,
+    PersistOptions,
+    WireOptions,
+)
+
+app = typer.Typer()
+
+
+@app.command()
+@of(PairsOptions)
+def pairs(options: PairsOptions, out: Out) -> None:
+    """Align every pair of a recording, automatically, and compare with the truth."""
+    from fleetpose.evaluation.bench.pairs.command import run
+
+    run(options, out)
+
+
+@app.command()
+def trust(
+    fitted: Annotated[list[Path], typer.Argument(help="Folders that `pairs` wrote, to fit on.")],
+    out: Out,
+    held_out: Annotated[
+        list[Path] | None, typer.Option(help="Folders that `pairs` wrote, to judge on.")
+    ] = None,
+) -> None:
+    """Fit the probability of a grave error to some places, and judge it on others."""
+    from fleetpose.evaluation.bench.trust import run
+
+    run(fitted, held_out or [], out)
+
+
+@app.command()
+@of(AlignOptions)
+def align(options: AlignOptions, out: Out) -> None:
+    """Align pairs that see enough of the same, beside Open3D and KISS-Matcher with GICP."""
+    from fleetpose.evaluation.bench.align import run
+
+    run(options, out)
+
+
+@app.command()
+@of(ClicksOptions)
+def clicks(options: ClicksOptions, out: Out) -> None:
+    """Click in all pairs of views within a range of angles, rightly or wrongly; tell how often the
+    pose is right and the wrong clicks are named.
+
+    Three clicks at wide angles: --clicks 3 --angles 40,90. One of five wrong: --clicks 5 --wrong 1;
+    the summary then gives the success with the four right ones beside it.
+
+    Clicks that deceive: --consistent-wrong 1.5 --clicks 3..6, or --permuted. These go through the
+    server's own site, which knows two robots; the summary gives grave_located (robots that are
+    located and gravely off: none is right), told_wrong, and recovered: three right clicks that are
+    added afterwards win.
+    """
+    from fleetpose.evaluation.bench.clicks import command, deceived
+
+    deceives = options.consistent_wrong_m or options.permuted
+    (deceived if deceives else command).run(options, out)
+
+
+@app.command()
+@of(PersistOptions)
+def persist(options: PersistOptions, out: Out) -> None:
+    """Click once between two moving robots, then compare the next views with and without these
+    clicks: the paper's last claim.
+
+    With them, each alignment begins at the last pose, carried over by both robots' own motion, as
+    the server does it. Without them each pair of views begins anew. The paper's ICP alone is
+    measured beside both.
+    """
+    from fleetpose.evaluation.bench.persist.command import run
+
+    run(options, out)
+
+
+@app.command()
+@of(WireOptions)
+def wire(options: WireOptions, out: Out) -> None:
+    """Measure the cloud codecs beside PNG, Draco and raw numbers."""
+    from fleetpose.evaluation.bench.wire import run
+
+    run(options, out)
+
+
+@app.command()
+def stereo(out: Out) -> None:
+    """Play a stereo video of the synthetic world; check calibrations, right and wrong."""
+    from fleetpose.evaluation.bench.stereo import run
+
+    run(out)
