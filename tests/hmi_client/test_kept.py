@@ -108,8 +108,8 @@ def test_a_file_that_is_none_is_said(file):
 _CHILD = """
 import os, signal, sys
 from pathlib import Path
-from fleetpose.hmi_client.kept import UpdateLog
-from fleetpose.hmi_client.session import OperatorSession
+from fleetpose.hmi_client.network.update_log import UpdateLog
+from fleetpose.hmi_client.model.session import OperatorSession
 from tests.hmi_client.test_kept import places
 session = OperatorSession("anna", kept=UpdateLog(Path(sys.argv[1])))
 for k in range(20):

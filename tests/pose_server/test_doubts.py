@@ -71,7 +71,7 @@ def state_of(site: Site, robot: str, now_s: float) -> RobotState:
     """What is published of a robot at a time."""
     while site.dirty:
         pipeline.solve(site, now_s)
-    stamp = fleet.Stamp("0" * 12, now_s, int(1e9 * now_s))
+    stamp = builders.Stamp("0" * 12, now_s, int(1e9 * now_s))
     for one in site.robots.values():
         one.published = builders.robot_pose(site, one, SETTINGS, stamp) or one.published
     state = builders.fleet_state(site, SETTINGS, stamp, 1)
@@ -79,7 +79,7 @@ def state_of(site: Site, robot: str, now_s: float) -> RobotState:
 
 
 def alarms(site: Site) -> set[tuple[str, str]]:
-    stamp = fleet.Stamp("0" * 12, 0.0, 0)
+    stamp = builders.Stamp("0" * 12, 0.0, 0)
     state = builders.fleet_state(site, SETTINGS, stamp, 1)
     return {(alarm.robot, alarm.kind) for alarm in state.alarms}
 

@@ -159,7 +159,7 @@ def test_workers_end_with_their_parent_however_that_ends():
 
 PARENT = """
 import sys
-from fleetpose.pose_server.pairs.workers import LocalPool
+from fleetpose.pose_server.workers.pools import LocalPool
 if __name__ == "__main__":
     pool = LocalPool(2)
     print(*pool.pids(), flush=True)
