@@ -19,6 +19,7 @@ from fleetpose.evaluation.cli.options import (
     only_one,
 )
 from fleetpose.evaluation.cli.options import numbers as _numbers
+from fleetpose.protocol.commands import Version, require, run_command
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, rich_markup_mode=None)
 app.add_typer(live.app)
@@ -33,8 +34,10 @@ class RecipeOption(StrEnum):
 
 
 @app.callback()
-def _commands() -> None:
+def _commands(version: Version = False) -> None:
     """Measure the system against ground truth."""
+    if "--help" not in sys.argv:  # what a command does can be read without
+        require("eval")
 
 
 @app.command()
@@ -444,22 +447,8 @@ def _from_to(option: str, text: str) -> tuple[int, int]:
 
 
 def main() -> None:
-    """Runs the command; errors that a user can mend are one sentence and exit code 2."""
-    from fleetpose.protocol.errors import FleetPoseError
-
-    try:
-        app()
-    except FleetPoseError as error:
-        print(f"pose-eval: {error}", file=sys.stderr)
-        sys.exit(2)
-    except ModuleNotFoundError as error:
-        print(
-            f"pose-eval: {error.name} is not installed: pip install 'fleetpose[eval]'",
-            file=sys.stderr,
-        )
-        sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    """Runs the command line; what a user can mend is one sentence and exit code 2."""
+    run_command(app, "pose-eval", "eval")
 
 
 if __name__ == "__main__":
