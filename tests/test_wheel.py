@@ -1,4 +1,4 @@
-"""The wheel, installed beside a program whose own modules are called like folders of the project."""
+"""The wheel, installed beside a program whose own modules are called like our folders."""
 
 import os
 import shutil
