@@ -360,7 +360,7 @@ def _paired(site: Site, done: Done, now_s: float) -> None:
         site.unlink((at_i.keyframe, at_j.keyframe, "pair"))  # what was sure of it is not any more
     if accepted(done.result) and at_i is not None and at_j is not None:
         _link_pair(site, at_i, at_j, done)
-    pair_queue.file(site, ordered_pair(i.robot, j.robot), now_s)
+    pair_queue.enqueue(site, ordered_pair(i.robot, j.robot), now_s)
 
 
 def _refuses_clicks(result: PairResult) -> bool:

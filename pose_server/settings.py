@@ -25,7 +25,10 @@ class ServerSettings(ProcessSettings):
     config: Path | None = Field(None, description="zenoh configuration (JSON5) that replaces both")
     state_dir: Path = Field(Path("fleetpose-state"), description="where the journal is kept")
     workers: int = Field(
-        max(1, min(16, os.cpu_count() or 1)), ge=1, le=256, description="alignment processes"
+        default_factory=lambda: max(1, min(16, os.cpu_count() or 1)),
+        ge=1,
+        le=256,
+        description="alignment processes; if not told, one for each core, at most 16",
     )
     cluster: str | None = Field(
         None, description="align on this Dask cluster instead, e.g. tcp://10.0.0.1:8786"

@@ -54,7 +54,8 @@ class RobotSettings(ProcessSettings):
         1.0, gt=0, le=1e6, description="for reconstructions, whose scale is arbitrary"
     )
     replay: ReplayMode = Field(
-        "once", description="recordings: once, loop, pingpong or hold (the last view stays)"
+        "once",
+        description="recordings: once, loop, pingpong or hold (the first view again and again)",
     )
     rate_hz: float = Field(1.0, gt=0, le=100, description="frames per second")
     max_salient: int = Field(1600, ge=10, le=20_000, description="salient points per view")

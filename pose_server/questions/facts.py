@@ -94,7 +94,9 @@ def _chances(site: Site, newest: dict[str, ViewName]) -> dict[RobotPair, float]:
     found: dict[RobotPair, float] = {}
     roots = list(parts)
     for k, a in enumerate(roots):
-        seen = overlap_prior.sees(*overlap_prior.apart(looks[a], looks[a], np.eye(4)))
+        seen = overlap_prior.overlap_probability(
+            *overlap_prior.apart(looks[a], looks[a], np.eye(4))
+        )
         seen = overlap_prior.if_aligned(seen, _aligned_so(site, parts[a], newest))
         for m, first in enumerate(parts[a]):
             for n in range(m + 1, len(parts[a])):

@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from fleetpose.pose_server.geometry import robust
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.features import robust
 from fleetpose.pose_server.geometry.features.matching import NO_MATCHES, ratio_matches, union
 from fleetpose.pose_server.geometry.features.refine import NoiseScale, Refinement
 from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from fleetpose.pose_server.geometry import robust
+from fleetpose.pose_server.geometry.features import robust
 from fleetpose.pose_server.geometry.features.matching import ratio_matches
 from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles
 from fleetpose.pose_server.geometry.icp import SurfaceFit, by_open3d, gicp, residual

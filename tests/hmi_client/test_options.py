@@ -1,4 +1,4 @@
-"""Options of `hmi-client`: before a command, behind it, or with none, as the README writes them."""
+"""Options of `hmi-client`: before a command, behind it, or with none, as documents write them."""
 
 from pathlib import Path
 
@@ -45,8 +45,8 @@ def asked(monkeypatch):
     return run
 
 
-def test_the_readmes_line_for_the_operators_desk_opens_the_screen(asked):
-    assert f"hmi-client --connect {DESK}" in Path("README.md").read_text()
+def test_the_documents_line_for_the_operators_desk_opens_the_screen(asked):
+    assert f"hmi-client --connect {DESK}" in Path("docs/start.md").read_text()
     met = asked("--connect", DESK)
     assert met["where"].connect == (DESK,) and met["fps"] == 10.0
 

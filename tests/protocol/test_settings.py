@@ -81,7 +81,7 @@ def test_variables_are_read_and_those_that_mean_nothing_are_named(monkeypatch):
 def test_every_process_says_it_in_one_sentence(tmp_path, program, arguments, says):
     done = subprocess.run(
         [sys.executable, "-P", "-m", f"fleetpose.{program}", *arguments],
-        capture_output=True, text=True, timeout=60, check=False, cwd=tmp_path,
+        capture_output=True, text=True, timeout=150, check=False, cwd=tmp_path,
         env={**os.environ, "COLUMNS": "200"},
     )  # fmt: skip
     assert done.returncode != 0 and says in done.stderr

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from fleetpose.pose_server.geometry import robust
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.features import robust
 from fleetpose.pose_server.geometry.features.matching import NO_MATCHES, union
 from fleetpose.pose_server.geometry.features.refine import NoiseScale
 from fleetpose.pose_server.geometry.features.triangles import MOST_MATCHES, poses_by_triangles
