@@ -17,7 +17,7 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
 RADIUS_M = 10.0
 DEPTH_SIGMA = 0.001  # times the depth squared, metres: what the examples state
 MOST_LINES = 40
-WITHIN_S = 90.0  # a machine that compiles the inner loops first takes its time
+WITHIN_S = 120.0  # workers of a machine that compiles the inner loops first come late
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def fleet(tmp_path_factory):
     """A router and a server; what a test starts of examples ends with them."""
     with LocalFleet(tmp_path_factory.mktemp("fleet")) as running:
         running.start_router()
-        running.start_server("--workers", "1")
+        running.start_server("--workers", "2")
         yield running
 
 
@@ -90,7 +90,7 @@ def places(lines) -> dict[str, np.ndarray]:
     return {name: np.array((x, y, z), float) for name, x, y, z, *_ in told}
 
 
-@pytest.mark.timeout(240)
+@pytest.mark.timeout(300)
 def test_pushed_frames_become_poses_that_another_program_follows(views, start, fleet):
     folder, T_a_b = views
     said = [start("push_frames.py", name, folder / f"{name}.npz") for name in ("r1", "r2")]
@@ -107,7 +107,7 @@ def test_pushed_frames_become_poses_that_another_program_follows(views, start, f
     assert apart_m == pytest.approx(np.linalg.norm(T_a_b[:3, 3]), abs=0.02 * RADIUS_M)
 
 
-@pytest.mark.timeout(240)
+@pytest.mark.timeout(300)
 def test_clicks_between_cameras_of_ones_own_are_accepted(start, fleet):
     cameras = [start("own_camera.py", "w1", "0.0"), start("own_camera.py", "w2", "1.0")]
     follower = start("follow_poses.py")
