@@ -33,6 +33,6 @@ def read(file: str) -> PreparedView:
 
 
 if __name__ == "__main__":
-    found = align_pair(*(read(file) for file in sys.argv[1:]))
+    found = align_pair(read(sys.argv[1]), read(sys.argv[2]))
     print(found.verdict, *found.reasons)
     print(found.T_i_j)  # camera B in the frame of camera A, metres
