@@ -4,10 +4,10 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: help setup demo test lint format docs clean
+.PHONY: help setup demo test test-fast lint format docs clean
 
 help: ## Shows what there is.
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
 setup: $(READY) ## Makes the environment in .venv.
 
@@ -23,6 +23,9 @@ demo: $(READY) ## Six robots around a building find each other; q ends it.
 
 test: $(READY) lint ## Lint, types, import rules and all tests.
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+test-fast: $(READY) ## What needs neither network nor recordings: under a minute.
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow"
 
 lint: $(READY) ## ruff, pyright and the import rules.
 	@$(BIN)/ruff check .

@@ -13,11 +13,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fleetpose.protocol.errors import FleetPoseError as FleetPoseError
     from fleetpose.protocol.messages import Camera as Camera
+    from fleetpose.protocol.messages import NoiseModel as NoiseModel
     from fleetpose.protocol.messages import RelativePose as RelativePose
     from fleetpose.protocol.messages import RobotPose as RobotPose
     from fleetpose.protocol.transport import SessionSettings as SessionSettings
     from fleetpose.robot_agent.cameras.base import DepthImage as DepthImage
     from fleetpose.robot_agent.cameras.base import DisparityImage as DisparityImage
+    from fleetpose.robot_agent.cameras.base import Frame as Frame
     from fleetpose.robot_agent.cameras.base import ScatteredPoints as ScatteredPoints
     from fleetpose.robot_agent.client import FleetRobot as FleetRobot
     from fleetpose.robot_agent.sender import SenderSettings as SenderSettings
@@ -28,6 +30,8 @@ _MODULES = {
     "DisparityImage": "robot_agent.cameras.base",
     "FleetPoseError": "protocol.errors",
     "FleetRobot": "robot_agent.client",
+    "Frame": "robot_agent.cameras.base",
+    "NoiseModel": "protocol.messages",
     "RelativePose": "protocol.messages",
     "RobotPose": "protocol.messages",
     "ScatteredPoints": "robot_agent.cameras.base",

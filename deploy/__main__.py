@@ -1,10 +1,11 @@
 """`pose-deploy`: run a fleet of processes on this machine."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from fleetpose.protocol.commands import Version, require, run_command
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -15,7 +16,7 @@ app = typer.Typer(
 
 
 @app.callback()
-def _commands() -> None:
+def _commands(version: Version = False) -> None:
     """Put a fleet into operation."""
 
 
@@ -39,6 +40,7 @@ def local(
     """Run router, pose server and robots on this machine until Ctrl-C."""
     from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 
+    require("robot,server")
     sources = [robot_source(text) for text in robots]
     with LocalFleet(directory, site) as fleet:
         fleet.start_router()
@@ -67,20 +69,8 @@ def robot_source(text: str) -> tuple[str, str, str]:
 
 
 def main() -> None:
-    """Runs the command; errors that a user can mend are one sentence and exit code 2."""
-    from fleetpose.protocol.errors import FleetPoseError
-
-    try:
-        app()
-    except FleetPoseError as error:
-        sys.exit(_refused(str(error)))
-    except KeyboardInterrupt:
-        sys.exit(130)
-
-
-def _refused(sentence: str) -> int:
-    print(f"pose-deploy: {sentence}", file=sys.stderr)
-    return 2
+    """Runs the command line; what a user can mend is one sentence and exit code 2."""
+    run_command(app, "pose-deploy", "robot,server")
 
 
 if __name__ == "__main__":

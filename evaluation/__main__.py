@@ -5,6 +5,7 @@ import sys
 import typer
 
 from fleetpose.evaluation.cli import fleets, live, pairs
+from fleetpose.protocol.commands import Version, require, run_command
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, rich_markup_mode=None)
 for subject in (pairs, fleets, live):
@@ -12,27 +13,15 @@ for subject in (pairs, fleets, live):
 
 
 @app.callback()
-def _commands() -> None:
+def _commands(version: Version = False) -> None:
     """Measure the system against ground truth."""
+    if "--help" not in sys.argv:  # what a command does can be read without
+        require("eval")
 
 
 def main() -> None:
-    """Runs the command; errors that a user can mend are one sentence and exit code 2."""
-    from fleetpose.protocol.errors import FleetPoseError
-
-    try:
-        app()
-    except FleetPoseError as error:
-        print(f"pose-eval: {error}", file=sys.stderr)
-        sys.exit(2)
-    except ModuleNotFoundError as error:
-        print(
-            f"pose-eval: {error.name} is not installed: pip install 'fleetpose[eval]'",
-            file=sys.stderr,
-        )
-        sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    """Runs the command line; what a user can mend is one sentence and exit code 2."""
+    run_command(app, "pose-eval", "eval")
 
 
 if __name__ == "__main__":

@@ -1,32 +1,14 @@
 """`hmi-client`: one place where errors become sentences."""
 
-import sys
+from fleetpose.hmi_client.cli.commands import app
+from fleetpose.protocol.commands import run_command
 
-from fleetpose.protocol.errors import FleetPoseError, UnreachableError
-
-EXTRA = {"cv2", "textual", "rich"}
+UNREACHABLE = 3
 
 
 def main() -> None:
     """Runs the command; bad input exits with 2, an unreachable fleet with 3."""
-    try:
-        from fleetpose.hmi_client.cli.commands import app
-
-        app()
-    except UnreachableError as error:
-        print(f"hmi-client: {error}", file=sys.stderr)
-        sys.exit(3)
-    except FleetPoseError as error:
-        print(f"hmi-client: {error}", file=sys.stderr)
-        sys.exit(2)
-    except ModuleNotFoundError as error:
-        if (error.name or "").split(".")[0] not in EXTRA:
-            raise
-        print(
-            f"hmi-client: '{error.name}' is missing; install it with: pip install 'fleetpose[hmi]'",
-            file=sys.stderr,
-        )
-        sys.exit(2)
+    run_command(app, "hmi-client", "hmi", UNREACHABLE)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from fleetpose.pose_server.settings import ServerSettings
-from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.commands import Version, require, run_command
 from fleetpose.protocol.settings import DumpSettings, SettingsFile, with_options
 
 if TYPE_CHECKING:
@@ -18,10 +18,14 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 app = typer.Typer(
-    help="Knows where the robots of a site are relative to each other, and tells them.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
+
+
+@app.callback()
+def _server(version: Version = False) -> None:
+    """Knows where the robots of a site are relative to each other, and tells them."""
 
 
 @app.command()
@@ -43,6 +47,7 @@ def run(
     if dump_settings:
         print(loaded.as_toml(), end="")
         return
+    require("server" + ",cluster" * bool(loaded.cluster) + ",metrics" * bool(loaded.metrics))
     from fleetpose.pose_server.app.build import build
     from fleetpose.pose_server.app.process import serve
 
@@ -163,14 +168,8 @@ def import_session(
 
 
 def main() -> None:
-    """Entry point: says what to install or to mend instead of a traceback."""
-    try:
-        app()
-    except ModuleNotFoundError as error:
-        sys.exit(f"pose-server needs '{error.name}': pip install 'fleetpose[server]'")
-    except FleetPoseError as error:
-        print(f"pose-server: {error}", file=sys.stderr)
-        sys.exit(2)
+    """Runs the command line; what a user can mend is one sentence and exit code 2."""
+    run_command(app, "pose-server", "server")
 
 
 if __name__ == "__main__":

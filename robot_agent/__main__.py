@@ -3,14 +3,13 @@
 import logging
 import os
 import signal
-import sys
 import threading
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.commands import Version, run_command
 from fleetpose.protocol.logs import log_to_stderr
 from fleetpose.protocol.settings import DumpSettings, SettingsFile, with_options
 from fleetpose.robot_agent.settings import RobotSettings
@@ -33,7 +32,7 @@ Skew = Annotated[
 
 
 @app.callback()
-def _agent() -> None:
+def _agent(version: Version = False) -> None:
     """A robot's process: camera to 3D points to the fleet."""
 
 
@@ -119,20 +118,8 @@ def _leave() -> None:
 
 
 def main() -> None:
-    """Runs the command line; an expected error is one sentence and exit code 2."""
-    try:
-        app()
-    except FleetPoseError as error:
-        sys.exit(_refuse(str(error)))
-    except ModuleNotFoundError as error:
-        if error.name not in ("cv2", "yaml"):
-            raise
-        sys.exit(_refuse(f"{error.name} is missing: pip install 'fleetpose[robot]'"))
-
-
-def _refuse(sentence: str) -> int:
-    print(f"robot-agent: {sentence}", file=sys.stderr)
-    return 2
+    """Runs the command line; what a user can mend is one sentence and exit code 2."""
+    run_command(app, "robot-agent", "robot")
 
 
 if __name__ == "__main__":

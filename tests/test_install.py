@@ -6,6 +6,7 @@ from importlib.metadata import PackageNotFoundError, requires
 from pathlib import Path
 
 import pytest
+import yaml
 
 HEAVY = {"open3d", "gtsam", "small-gicp", "kiss-matcher", "textual", "scipy", "matplotlib"}
 NEEDED = {"numpy", "eclipse-zenoh", "msgpack", "zstandard", "pydantic", "typer"}
@@ -61,3 +62,14 @@ def test_every_package_of_the_project_is_installed():
         for init in (root / folder).rglob("__init__.py")
     }
     assert set(told["packages"]) == there
+
+
+def test_package_changelog_and_citation_tell_one_version():
+    root = Path(__file__).parent.parent
+    version = tomllib.loads((root / "pyproject.toml").read_text())["project"]["version"]
+    [newest, *_] = re.findall(
+        r"^## ([\d.]+) - ([\d-]+)$", (root / "CHANGELOG.md").read_text(), re.M
+    )
+    cited = yaml.safe_load((root / "CITATION.cff").read_text())
+    assert (version, str(cited["date-released"])) == newest
+    assert cited["version"] == version

@@ -16,6 +16,7 @@ from fleetpose.hmi_client.cli import correspondences, recordings
 from fleetpose.hmi_client.cli.options import Fps, KeysFile, LogFile, SettingsFile, Theme, Threshold
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.settings import ClientSettings
+from fleetpose.protocol.commands import Version
 from fleetpose.protocol.settings import DumpSettings
 
 ALIGNMENTS_S = 1.0  # they are latched: what has not come by then was never told
@@ -42,6 +43,7 @@ def default(
     operator: c.Operator = "",
     settings: SettingsFile = None,
     dump_settings: DumpSettings = False,
+    version: Version = False,
 ) -> None:
     """The operator's client of a fleet: see where every robot is, and help where asked.
 

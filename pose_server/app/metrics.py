@@ -16,19 +16,15 @@ class Metrics:
         where: HOST:PORT, or PORT alone for this machine only.
 
     Raises:
-        FleetPoseError: it is no such address, it is in use, or the library is not installed.
+        FleetPoseError: it is no such address, or it is in use.
     """
 
     def __init__(self, where: str) -> None:
         host, _, port = where.rpartition(":")
         if not port.isdigit():
             raise FleetPoseError(f"--metrics {where}: write HOST:PORT, e.g. 127.0.0.1:9464")
-        try:
-            from prometheus_client import CollectorRegistry, start_http_server
-        except ModuleNotFoundError as error:
-            raise FleetPoseError(
-                f"--metrics needs '{error.name}': pip install 'fleetpose[metrics]'"
-            ) from error
+        from prometheus_client import CollectorRegistry, start_http_server
+
         self._status: ServerStatus | None = None
         self._located = self._robots = 0
         registry = CollectorRegistry()

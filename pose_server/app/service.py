@@ -73,6 +73,8 @@ class Service:
         self.keys = Keys(settings.site)
         self.epoch = new_epoch()
         self.stopped = threading.Event()
+        # first of all: once workers run, a refused address could no longer end the process
+        self._metrics = None if settings.metrics is None else Metrics(settings.metrics)
         self._queue: queue.SimpleQueue[object] = queue.SimpleQueue()
         self._drops = Drops()
         self._events = EventQueue(self.keys, self._queue, self._drops)
@@ -89,7 +91,6 @@ class Service:
             settings.state_dir / GRAPH, lambda said: self._queue.put(ServerEvent(said))
         )
         self._stages = Stages()
-        self._metrics = None if settings.metrics is None else Metrics(settings.metrics)
         self._next: dict[str, float] = {}
         self._solved_s = self._solve_took_s = 0.0
         self._clean_s = 0.0

@@ -112,14 +112,9 @@ def _connected(address: str) -> Any:
 
     Raises:
         UnreachableError: no scheduler answers.
-        FleetPoseError: Dask is not installed.
     """
-    try:
-        import distributed
-    except ModuleNotFoundError as error:
-        raise FleetPoseError(
-            f"--cluster needs '{error.name}': pip install 'fleetpose[cluster]'"
-        ) from error
+    import distributed
+
     try:
         client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:

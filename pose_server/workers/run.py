@@ -5,6 +5,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from fleetpose.pose_server.frontend.moving_points import without_moving
 from fleetpose.pose_server.registration.prepared_view import PreparedView, prepare_view
@@ -28,8 +29,6 @@ def use_one_thread() -> None:
     libc = ctypes.CDLL(None)
     libc.mallopt(_M_TRIM_THRESHOLD, 1 << 29)  # scratch arrays are reused instead of given back:
     libc.mallopt(_M_MMAP_THRESHOLD, 1 << 25)  # page faults had cost more than the arithmetic
-    from threadpoolctl import threadpool_limits
-
     threadpool_limits(1)
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from fleetpose.hmi_client.assist.deferred_clear import SET_S
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore
-from tests.pose_server.correspondence_makers import Memory, lift
+from tests.pose_server.correspondence_makers import DepthHistory, lift
 
 PAIR = ("r1", "r2")
 
@@ -25,7 +25,7 @@ class Site:
 
     def __init__(self, *operators: str) -> None:
         self.clock = Clock()
-        self.book = CorrespondenceStore(Memory())
+        self.book = CorrespondenceStore(DepthHistory())
         self.sessions = [OperatorSession(name, clock=self.clock) for name in operators]
         for session in self.sessions:
             session.on_fleet(fleet(6))
@@ -138,7 +138,7 @@ def test_a_lost_journal_leaves_a_held_clear_behind_the_clicks_that_are_sent_anew
     add(anna, 1), site.settle(anna)
     add(anna, 2)
     clear = anna.clear(PAIR)
-    site.correspondences = CorrespondenceStore(Memory())
+    site.correspondences = CorrespondenceStore(DepthHistory())
     anna.on_fleet(fleet(6, server_epoch="f" * 12))
     lost = site.correspondences.receipts(anna.open_updates()[0], "f" * 12)
     anna.on_receipts(lost)
@@ -156,7 +156,7 @@ def test_an_erase_is_not_sent_to_a_server_that_lost_its_journal(site):
     add(anna, 1), site.settle(anna)
     erase = anna.erase(PAIR, anna.entries(PAIR)[0].id)
     anna.on_fleet(fleet(6, server_epoch="f" * 12))
-    anna.on_receipts(CorrespondenceStore(Memory()).receipts(erase.update, "f" * 12))
+    anna.on_receipts(CorrespondenceStore(DepthHistory()).receipts(erase.update, "f" * 12))
     assert erase.final and "has lost" in erase.reason  # its id may come to mean another
     assert anna.open_updates() == ()
 

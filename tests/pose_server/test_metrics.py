@@ -1,5 +1,7 @@
 """The status as Prometheus scrapes it."""
 
+import subprocess
+import sys
 from urllib.request import urlopen
 
 import pytest
@@ -39,6 +41,18 @@ def test_a_scrape_shows_the_newest_status():
 def test_what_is_no_address_is_refused_with_a_sentence(where):
     with pytest.raises(FleetPoseError, match="--metrics"):
         Metrics(where)
+
+
+def test_a_server_with_such_an_address_ends_with_the_sentence(tmp_path):
+    options = ("--listen", "tcp/127.0.0.1:0", "--state-dir", str(tmp_path), "--metrics", "here")
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "fleetpose.pose_server", "run", *options],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 2
+    assert "--metrics here: write HOST:PORT" in done.stderr and "Traceback" not in done.stderr
 
 
 def test_an_address_in_use_is_refused_with_a_sentence():

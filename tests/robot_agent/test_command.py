@@ -208,17 +208,3 @@ def test_help_does_not_import_what_is_heavy():
     )
     assert "--end-with-parent" in done.stdout
     assert done.stdout.splitlines()[-1] == "[]"
-
-
-def test_a_missing_extra_is_named():
-    code = (
-        "import sys; sys.modules['cv2'] = None; from fleetpose.robot_agent.__main__ import main\n"
-        "sys.argv = ['robot-agent', 'run', '--name', 'r1', '--camera', 'rgbd']\n"
-        "main()"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=False
-    )
-    assert done.returncode == 2
-    assert "pip install 'fleetpose[robot]'" in done.stderr
-    assert "Traceback" not in done.stderr
