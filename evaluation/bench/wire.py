@@ -202,12 +202,8 @@ def _view_summary(ending: str, asked: int, sizes: Sequence[tuple[int, int]]) -> 
 
 
 def _mean(rows: Sequence[Row]) -> dict[str, float]:
-    return {
-        "bits_per_point": float(np.mean([row.bits_per_point for row in rows])),
-        "error_max_m": float(np.max([row.error_max_m for row in rows])),
-        "encode_ms": float(np.mean([row.encode_ms for row in rows])),
-        "decode_ms": float(np.mean([row.decode_ms for row in rows])),
-    }
+    means = {name: float(np.mean([getattr(row, name) for row in rows])) for name in COLUMNS[1:]}
+    return means | {"error_max_m": float(np.max([row.error_max_m for row in rows]))}
 
 
 def _timed(work: Callable[[], Any]) -> tuple[Any, float]:

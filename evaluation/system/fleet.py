@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
-from fleetpose.evaluation.data.anonymize import StrippedFolder, distinct_names, strip
+from fleetpose.evaluation.data.anonymize import distinct_names, strip
 from fleetpose.evaluation.data.covisibility import paired_up
 from fleetpose.evaluation.data.parts import parts_of
 from fleetpose.evaluation.metrics.fleet_scoring import PoseNow, SampleRow, score_sample
@@ -87,9 +87,8 @@ def run(options: FleetOptions, out: Path) -> dict[str, Any]:
         FleetPoseError: the data cannot be used, or a process ended.
     """
     if options.seconds <= FIRST_SAMPLE_S:
-        raise FleetPoseError(
-            f"--seconds {options.seconds:g}: poses are scored from 20 s on, give more"
-        )
+        seconds = f"--seconds {options.seconds:g}"
+        raise FleetPoseError(f"{seconds}: poses are scored from 20 s on, give more")
     options.in_metres()  # what cannot be is said before anything is made
     for old in output_folder(out).glob("logs/*.log"):
         old.unlink()
@@ -99,8 +98,9 @@ def run(options: FleetOptions, out: Path) -> dict[str, Any]:
         skip = named_skip_pairs(options.skip_pairs, plan.names, Path(scratch))
         with LocalFleet(out / "logs") as fleet:
             state = Path(scratch) / "state"
-            options_of_server = ("--recipe", options.recipe)
-            start(fleet, plan, options.workers, state, skip, options.cluster, options_of_server)
+            cluster = () if options.cluster is None else ("--cluster", options.cluster)
+            of_server = ("--recipe", options.recipe, *cluster)
+            start(fleet, plan, options.workers, state, skip, of_server)
             with observed(fleet) as observer, ExitStack() as closing:
                 started_s = wait_started(fleet, observer, len(plan.robots))
                 operator = _operator(options, observer, plan, skip)
@@ -152,9 +152,8 @@ def plan_fleet(options: FleetOptions, scratch: Path) -> FleetPlan:
     if recording is None:
         if options.views:
             raise DataFolderError("--views names views of a recording: give --data DIR")
-        return plan_world(
-            names, scratch, options.moving, options.seed, options.world, options.unique
-        )
+        world = (options.seed, options.world, options.unique)
+        return plan_world(names, scratch, options.moving, *world)
     parts = parts_of(recording, robots, options.first, options.views)
     folders = {
         name: strip(recording, part, scratch / name, rng)
@@ -163,7 +162,10 @@ def plan_fleet(options: FleetOptions, scratch: Path) -> FleetPlan:
     still = options.views or not recording.is_rgbd
     replay = ("--replay", "hold" if still else "pingpong")
     return FleetPlan(
-        tuple(_replaying(name, folder, replay) for name, folder in folders.items()),
+        tuple(
+            RobotPlan(name, folder.camera, str(folder.path), replay, RATE_HZ)
+            for name, folder in folders.items()
+        ),
         RecordedTruth(recording, folders),
         frames=max(len(part) for part in parts),
     )
@@ -248,11 +250,10 @@ def start(
     workers: int,
     state: Path,
     skip_pairs: Path | None = None,
-    cluster: str | None = None,
     of_server: Sequence[str] = (),
 ) -> None:
     """Starts router, world, server, with options of its own, and robots."""
-    start_servers(fleet, plan, workers, state, skip_pairs, cluster, of_server)
+    start_servers(fleet, plan, workers, state, skip_pairs, of_server)
     if plan.replayed:
         replayed = replay_arguments(plan, REPLAYED_RATE_HZ, plan.frames)
         fleet.start(LOAD, "fleetpose.evaluation", "load", *fleet.connection, *replayed)
@@ -273,7 +274,6 @@ def start_servers(
     workers: int,
     state: Path,
     skip_pairs: Path | None = None,
-    cluster: str | None = None,
     of_server: Sequence[str] = (),
 ) -> None:
     """Starts router, world and server."""
@@ -281,8 +281,7 @@ def start_servers(
     if plan.world:
         fleet.start("world", "fleetpose.evaluation", *plan.world)
     skip = () if skip_pairs is None else ("--skip-pairs", str(skip_pairs))
-    elsewhere = () if cluster is None else ("--cluster", cluster)
-    fleet.start_server("--workers", str(workers), *elsewhere, *skip, *of_server, state=state)
+    fleet.start_server("--workers", str(workers), *skip, *of_server, state=state)
     if isinstance(plan.truth, WorldTruth):
         _wait_for_world(fleet, plan.truth)
 
@@ -327,12 +326,11 @@ def wait_started(fleet: LocalFleet, observer: Observer, robots: int) -> float:
         ProcessEndedError: one of them ended.
         FleetPoseError: they are not up within two minutes.
     """
-    up = wait_running(
-        fleet,
-        lambda: observer.server_alive() and observer.alive_robots() == robots,
-        STARTED_WITHIN_S,
-    )
-    if not up:
+
+    def up() -> bool:
+        return observer.server_alive() and observer.alive_robots() == robots
+
+    if not wait_running(fleet, up, STARTED_WITHIN_S):
         raise FleetPoseError(
             f"after {STARTED_WITHIN_S:.0f} s {observer.alive_robots()} of {robots} robots are up; "
             f"the logs are in {fleet.directory}"
@@ -391,22 +389,12 @@ def _watch(
                 now = poses_now(observer, plan.truth)
                 noise_m = RGBD_REFERENCE_SIGMA_M if plan.truth.rgbd else 0.0
                 watch.rows += score_sample(float(second), plan.names, now, anchor, noise_m)
-            progress.update(task, completed=second, description=_doing(observer, plan))
-
-
-def _doing(observer: Observer, plan: FleetPlan) -> str:
-    return f"{observer.located_counts[-1][1]}/{len(plan.robots)} located"
-
-
-def _replaying(name: str, folder: StrippedFolder, replay: tuple[str, ...]) -> RobotPlan:
-    return RobotPlan(name, folder.camera, str(folder.path), replay, RATE_HZ)
+            located = f"{observer.located_counts[-1][1]}/{len(plan.robots)} located"
+            progress.update(task, completed=second, description=located)
 
 
 def replay_arguments(plan: FleetPlan, rate_hz: float, frames: int) -> tuple[str, ...]:
     """The arguments of `pose-eval load` for the robots of a plan."""
-    robots = [part for robot in plan.robots for part in ("--robot", _written(robot))]
+    written = [f"{robot.name},{robot.camera},{robot.data}" for robot in plan.robots]
+    robots = [part for one in written for part in ("--robot", one)]
     return (*robots, "--rate", str(rate_hz), "--frames", str(frames))
-
-
-def _written(robot: RobotPlan) -> str:
-    return f"{robot.name},{robot.camera},{robot.data}"

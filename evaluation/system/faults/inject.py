@@ -15,20 +15,9 @@ from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 from fleetpose.evaluation.metrics.fleet_scoring import SampleRow, score_sample, summarize_poses
 from fleetpose.evaluation.metrics.scoring import Limits, share
 from fleetpose.evaluation.report.output import write_csv
+from fleetpose.evaluation.system.faults import troubles
 from fleetpose.evaluation.system.faults.troubled import CLOCK_AHEAD_S
-from fleetpose.evaluation.system.faults.troubles import (
-    FAULTY,
-    Carried,
-    CarriedOne,
-    ClockStep,
-    Frozen,
-    Kidnapped,
-    Leave,
-    OldEpoch,
-    Still,
-    Trouble,
-    places_for,
-)
+from fleetpose.evaluation.system.faults.troubles import FAULTY, Trouble
 from fleetpose.evaluation.system.fleet import (
     FleetPlan,
     observed,
@@ -84,14 +73,16 @@ FAULTS = {
     "baseline": Fault(("scale",)),
     "mirrored": Fault(("mirrored",)),
     "person": Fault(event=f"{MOTION}{FAULTY}'s view", world=("--person",), in_robot=False),
-    "frozen": Fault(("frozen", "still"), trouble=Frozen),
-    "still": Fault(("still",), trouble=Still),
-    "kidnapped": Fault(("lost",), trouble=Kidnapped),
-    "carried": Fault(("carried",), trouble=Carried, of_all=True),
-    "carried-one": Fault(("carried",), trouble=CarriedOne),
-    "leave": Fault(event=f"{FAULTY} is gone", trouble=Leave),
-    "old-epoch": Fault(trouble=OldEpoch, in_robot=False),
-    "clock-step": Fault(("clock",), event=f"the clock of {FAULTY} went back", trouble=ClockStep),
+    "frozen": Fault(("frozen", "still"), trouble=troubles.Frozen),
+    "still": Fault(("still",), trouble=troubles.Still),
+    "kidnapped": Fault(("lost",), trouble=troubles.Kidnapped),
+    "carried": Fault(("carried",), trouble=troubles.Carried, of_all=True),
+    "carried-one": Fault(("carried",), trouble=troubles.CarriedOne),
+    "leave": Fault(event=f"{FAULTY} is gone", trouble=troubles.Leave),
+    "old-epoch": Fault(trouble=troubles.OldEpoch, in_robot=False),
+    "clock-step": Fault(
+        ("clock",), event=f"the clock of {FAULTY} went back", trouble=troubles.ClockStep
+    ),
 }
 
 
@@ -169,7 +160,7 @@ def run(
         FleetPoseError: the fleet does not come up, or a process ends.
     """
     fault = FAULTS[name]
-    places = [f"r{k + 1}" for k in range(places_for(robots) if fault.later else robots)]
+    places = [f"r{k + 1}" for k in range(troubles.places_for(robots) if fault.later else robots)]
     names = places[:robots]
     plan = plan_world(places, scratch, moving=False, seed=0)
     plan = replace(plan, robots=plan.robots[:robots], world=(*plan.world, *fault.world))

@@ -18,27 +18,15 @@ import numpy.typing as npt
 
 from fleetpose.evaluation.simulate.replay_robots import stop_at_signals
 from fleetpose.evaluation.simulate.world.materials.facades import Style, facade
+from fleetpose.protocol import messages
 from fleetpose.protocol.codec import encoding_of, pack, unpack
 from fleetpose.protocol.keys import Keys, new_epoch
 from fleetpose.protocol.messages import (
-    Camera,
-    CameraAnnouncement,
-    Correspondence,
     FleetState,
-    ImageHeader,
-    KeptView,
-    NoiseModel,
     OperatorUpdate,
-    PairCell,
     PairCorrespondences,
-    Question,
-    Receipts,
     RobotPose,
-    RobotState,
-    Salient,
-    ScatteredCloud,
     Selection,
-    View,
     ViewName,
 )
 from fleetpose.protocol.transport import (
@@ -123,7 +111,7 @@ class StandIn:
         self._poses = [link.latched(keys.pose(name)) for name in self._names]
         self._bulk = [link.bulk(keys.image(name), background=True) for name in self._names]
         for name in self._names:
-            announced = CameraAnnouncement(
+            announced = messages.CameraAnnouncement(
                 robot=name, epoch=self._robot_epoch, camera=CAMERA, rate_hz=load.image_hz
             )
             self._put(keys.camera(name), announced)
@@ -152,7 +140,7 @@ class StandIn:
         for k, publisher in enumerate(self._bulk):
             if publisher.wanted:
                 name = self._view(self._names[k])
-                header = ImageHeader(view=name, stamp_ns=time.time_ns())
+                header = messages.ImageHeader(view=name, stamp_ns=time.time_ns())
                 turn = self._images[k % 2]
                 publisher.put(turn[self._seq % len(turn)], ENCODING_JPEG, pack(header))
 
@@ -203,13 +191,13 @@ class StandIn:
             n=n,
         )
 
-    def _robot(self, pose: RobotPose) -> RobotState:
+    def _robot(self, pose: RobotPose) -> messages.RobotState:
         newest = pose.view
-        return RobotState(
+        return messages.RobotState(
             robot=pose.robot, alive=True, newest_view=newest, views_kept=30, pose=pose, why_not=""
         )
 
-    def _cells(self) -> tuple[PairCell, ...]:
+    def _cells(self) -> tuple[messages.PairCell, ...]:
         """Neighbours around the ring are aligned; the others are known through them."""
         cells = []
         for a, first in enumerate(self._names):
@@ -220,7 +208,7 @@ class StandIn:
                     continue
                 rmse_m = float(self._rng.uniform(0.01, 0.3))
                 cells.append(
-                    PairCell(
+                    messages.PairCell(
                         i=i,
                         j=j,
                         state="tried",
@@ -234,12 +222,14 @@ class StandIn:
                 )
         return tuple(cells)
 
-    def _questions(self) -> tuple[Question, ...]:
+    def _questions(self) -> tuple[messages.Question, ...]:
         asked = []
         for a, b in (("r1", "r2"), ("r2", "r3"))[: max(self._load.robots - 1, 0)]:
             why = "These two views are worth a click."
             view_a, view_b = self._view(a), self._view(b)
-            asked.append(Question(i=a, j=b, view_i=view_a, view_j=view_b, reason=why, gain=0.1))
+            asked.append(
+                messages.Question(i=a, j=b, view_i=view_a, view_j=view_b, reason=why, gain=0.1)
+            )
         return tuple(asked)
 
     # ---- hearing ---------------------------------------------------------------------------------
@@ -264,7 +254,7 @@ class StandIn:
         with self._notes.open("a") as notes:
             notes.write(json.dumps(record) + "\n")
         self._keep(update)
-        receipts = Receipts(
+        receipts = messages.Receipts(
             operator=update.operator,
             session=update.session,
             n=update.n,
@@ -280,7 +270,7 @@ class StandIn:
         items = known.items if known else ()
         places = (update.view_i, update.view_j, update.pixel_i, update.pixel_j)
         if update.action == "add" and all(place is not None for place in places):
-            item = Correspondence.model_validate(
+            item = messages.Correspondence.model_validate(
                 {
                     "id": update.n,
                     "operator": update.operator,
@@ -300,24 +290,30 @@ class StandIn:
     def _kept(self, robot: str, asked: dict[str, str]) -> Answer:
         view = ViewName(robot=robot, epoch=self._robot_epoch, seq=int(asked["seq"]))
         turn = self._images[self._names.index(robot) % 2]
-        cloud = ScatteredCloud(count=0, pixel_step_px=1 / 64, depth_step_m=0.001, data=b"")
-        salient = Salient(extractor="rootsift", count=0, descriptor_bytes=128, data=b"")
-        shown = View(name=view, stamp_ns=0, camera=CAMERA, cloud=cloud, salient=salient)
+        cloud = messages.ScatteredCloud(count=0, pixel_step_px=1 / 64, depth_step_m=0.001, data=b"")
+        salient = messages.Salient(extractor="rootsift", count=0, descriptor_bytes=128, data=b"")
+        shown = messages.View(name=view, stamp_ns=0, camera=CAMERA, cloud=cloud, salient=salient)
         jpeg = None if asked.get("image") == "no" else turn[view.seq % len(turn)]
-        kept = KeptView(view=shown, jpeg=jpeg, image=ImageHeader(view=view, stamp_ns=0))
-        return Answer(pack(kept), encoding_of(KeptView))
+        kept = messages.KeptView(
+            view=shown, jpeg=jpeg, image=messages.ImageHeader(view=view, stamp_ns=0)
+        )
+        return Answer(pack(kept), encoding_of(messages.KeptView))
 
-    def _put(self, key: str, message: CameraAnnouncement | Receipts | PairCorrespondences) -> None:
+    def _put(
+        self,
+        key: str,
+        message: messages.CameraAnnouncement | messages.Receipts | PairCorrespondences,
+    ) -> None:
         if key not in self._publishers:
             self._publishers[key] = self._link.latched(key)
         self._publishers[key].put(pack(message), encoding_of(type(message)))
 
 
-CAMERA = Camera(
+CAMERA = messages.Camera(
     width=WIDTH,
     height=HEIGHT,
     K=np.array([[500.0, 0, WIDTH / 2], [0, 500, HEIGHT / 2], [0, 0, 1]]),
     T_robot_camera=np.eye(4),
-    noise=NoiseModel(pixel_sigma_px=0.5, depth_sigma_m=(0.0, 0.0, 0.01)),
+    noise=messages.NoiseModel(pixel_sigma_px=0.5, depth_sigma_m=(0.0, 0.0, 0.01)),
     kind="views",
 )

@@ -21,21 +21,5 @@ PRINTS = _listed(  # what posters, curtains and window frames are coloured with
     "45-50-165, 70-120-215, 95-185-225, 150-190-215, 205-220-230, 150-130-60, "
     "130-85-35, 90-120-60, 75-85-95, 40-40-45, 120-160-150, 110-95-175"
 )
-WORDS = [
-    "CAFE",
-    "BAKERY",
-    "OPEN",
-    "JAZZ",
-    "MARKET",
-    "CIRCUS",
-    "BOOKS",
-    "TEA",
-    "LIVE",
-    "NORD",
-    "OPERA",
-    "ROBOTS",
-    "7",
-    "24",
-    "EXPO",
-    "FILM",
-]
+WORDS = ("CAFE", "BAKERY", "OPEN", "JAZZ", "MARKET", "CIRCUS", "BOOKS", "TEA", "LIVE", "NORD")
+WORDS += ("OPERA", "ROBOTS", "7", "24", "EXPO", "FILM")
