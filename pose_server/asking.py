@@ -9,10 +9,7 @@ from pose_server.fleet.questions import CLICKS_TO_JOIN, Standing, standing
 from pose_server.site import Site
 from pose_server.state.question_feedback import Look, Open
 from protocol.keys import ordered_pair
-from protocol.messages import Answer, Selection, ViewName
-
-RobotPair = tuple[str, str]
-ViewPair = tuple[ViewName, ViewName]
+from protocol.messages import Answer, Selection
 
 _LOOKED_S = 3.0  # a shorter glance says nothing
 _MOST_CLIENTS = 64

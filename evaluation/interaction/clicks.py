@@ -53,16 +53,18 @@ class ClicksOptions:
     permuted: bool = False
     automatic: bool = False
 
+    def __post_init__(self) -> None:
+        """Raises a FleetPoseError if more clicks were to be wrong than there are."""
+        if self.wrong > self.clicks:
+            raise FleetPoseError(f"--wrong {self.wrong}: of {self.clicks} clicks at most all are")
+
 
 def run(options: ClicksOptions, out: Path) -> dict[str, Any]:
     """Clicks and aligns; writes poses.csv, pairs.csv, summary.json; returns the summary.
 
     Raises:
-        FleetPoseError: the data cannot be used, no pair is in the range, or more clicks were to be
-            wrong than there are.
+        FleetPoseError: the data cannot be used, or no pair is in the range.
     """
-    if options.wrong > options.clicks:
-        raise FleetPoseError(f"--wrong {options.wrong}: of {options.clicks} clicks at most all are")
     recording = open_recording(options.data, options.clouds)
     pairs = {(i.index, j.index): (i, j) for i, j in pairs_in_range(recording, options)}
     output_folder(out)

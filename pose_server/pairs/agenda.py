@@ -20,13 +20,10 @@ from pose_server.pairs.weights import pair_weight
 from pose_server.scheduling.settings import Line
 from pose_server.site import Site
 from pose_server.state.pair_queue import SHARES, Agenda
-from pose_server.state.pairs import PairRecord
+from pose_server.state.pairs import PairRecord, RobotPair, ViewPair
 from pose_server.state.robots import Robot
 from protocol.keys import ordered_pair
 from protocol.messages import ViewName
-
-RobotPair = tuple[str, str]
-ViewPair = tuple[ViewName, ViewName]
 
 _MOST_UNTRIED = 8  # keyframe pairs of two robots that wait at a time
 
