@@ -38,12 +38,11 @@ from fleetpose.pose_server.registration.refinement import Start
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.scheduling import pair_queue
 from fleetpose.pose_server.scheduling.affine_retries import note_open, wide_job
-from fleetpose.pose_server.state.pairs import RobotPair
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.state.views import KeptView
 from fleetpose.pose_server.workers.jobs import Done, Job
 from fleetpose.protocol.errors import CodecError
-from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.keys import RobotPair, ordered_pair
 from fleetpose.protocol.messages import OperatorUpdate, Selection, ViewName
 
 _COVARIANCES_AT_ONCE = 24  # made anew in a solve

@@ -137,6 +137,9 @@ def site_of(key: str) -> str:
     return key.split("/")[1]
 
 
-def ordered_pair(a: str, b: str) -> tuple[str, str]:
+RobotPair = tuple[str, str]
+
+
+def ordered_pair(a: str, b: str) -> RobotPair:
     """A pair is named once, in the order of its names."""
     return (a, b) if a < b else (b, a)

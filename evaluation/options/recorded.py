@@ -143,6 +143,17 @@ class ClicksOptions(RecordedOptions):
     workers: int = told("Processes.", 2, min=1)
     seed: int = told("Of the clicks.", 0)
 
+    def __post_init__(self) -> None:
+        """Raises a FleetPoseError if more clicks were to be wrong than there are, or from..to is
+        asked for where it means nothing."""
+        from fleetpose.protocol.errors import FleetPoseError
+
+        count, most = self.clicks
+        if count < most and not self.consistent_wrong_m:
+            raise FleetPoseError(f"--clicks {count}..{most}: from..to goes with --consistent-wrong")
+        if self.wrong > count:
+            raise FleetPoseError(f"--wrong {self.wrong}: of {count} clicks at most all are")
+
 
 @dataclass(frozen=True)
 class PersistOptions:

@@ -10,9 +10,8 @@ from fleetpose.pose_server.messages import builders
 from fleetpose.pose_server.messages.builders import Stamp
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.settings import ServerSettings
-from fleetpose.pose_server.state.pairs import RobotPair
 from fleetpose.pose_server.state.site import Site
-from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.keys import Keys, RobotPair
 from fleetpose.protocol.messages import FleetState, OperatorUpdate, ViewName
 from fleetpose.protocol.messages.base import Message
 

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from fleetpose.protocol.keys import RobotPair
+
 Floats = npt.NDArray[np.floating]
-RobotPair = tuple[str, str]
 
 LEAST_SCALE = 0.03  # recordings whose calibration is right show up to 2.6 %
 # Of the inverse depth, root mean square over the image. A stereo pair's depths bend by less than

@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from fleetpose.pose_server.calibration.clocks import Clocks
 from fleetpose.pose_server.calibration.depth_comparison import DepthErrors
-from fleetpose.pose_server.calibration.findings import RobotPair
 from fleetpose.pose_server.calibration.mirrors import Mirrors
 from fleetpose.pose_server.calibration.time_offset import TimeOffsets
+from fleetpose.protocol.keys import RobotPair
 
 Floats = npt.NDArray[np.floating]
 

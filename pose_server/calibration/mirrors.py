@@ -9,7 +9,7 @@ such pairs as they accuse robots.
 from collections import deque
 from dataclasses import dataclass, field
 
-from fleetpose.pose_server.calibration.findings import RobotPair
+from fleetpose.protocol.keys import RobotPair
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from fleetpose.pose_server.geometry.se3 import transform
 from fleetpose.pose_server.pose_graph.types import ClickFactor
 from fleetpose.pose_server.registration.operator_starts import FULL_POSE, Clicks
 from fleetpose.pose_server.registration.verdict.hearing import Hearing
-from fleetpose.pose_server.state.pairs import RobotPair
 from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.keys import RobotPair
 from fleetpose.protocol.messages import CorrespondenceStatus, ViewName
 
 Floats = npt.NDArray[np.floating]

@@ -5,8 +5,8 @@ where the robots are, not how well they are seen to fit now.
 """
 
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
-from fleetpose.pose_server.state.pairs import RobotPair
 from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.keys import RobotPair
 from fleetpose.protocol.messages import PairCell, ViewName
 
 _OLD_S = 60.0  # from then on an alignment's age is told to ten seconds

@@ -14,10 +14,10 @@ from fleetpose.pose_server.questions.overlap_prior import Attempt, Look
 from fleetpose.pose_server.questions.ranking import PairFacts, rank_questions
 from fleetpose.pose_server.questions.suggestions import with_suggestions
 from fleetpose.pose_server.scheduling.proposals import similarity
-from fleetpose.pose_server.state.pairs import PairRecord, RobotPair, ViewPair
+from fleetpose.pose_server.state.pairs import PairRecord, ViewPair
 from fleetpose.pose_server.state.question_feedback import Asked
 from fleetpose.pose_server.state.site import Site
-from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.keys import RobotPair, ordered_pair
 from fleetpose.protocol.messages import Question, ViewName
 
 Floats = npt.NDArray[np.floating]

@@ -9,10 +9,7 @@ from fleetpose.pose_server.questions.ranking import CLICKS_TO_JOIN, FleetUncerta
 from fleetpose.pose_server.state.question_feedback import Look, Open
 from fleetpose.pose_server.state.site import Site
 from fleetpose.protocol.keys import ordered_pair
-from fleetpose.protocol.messages import Answer, Selection, ViewName
-
-RobotPair = tuple[str, str]
-ViewPair = tuple[ViewName, ViewName]
+from fleetpose.protocol.messages import Answer, Selection
 
 _LOOKED_S = 3.0  # a shorter glance says nothing
 _MOST_CLIENTS = 64

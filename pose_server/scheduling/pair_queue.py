@@ -19,14 +19,11 @@ from fleetpose.pose_server.scheduling.settings import Line
 from fleetpose.pose_server.scheduling.weighted_round_robin import Pick
 from fleetpose.pose_server.scheduling.weights import pair_weight
 from fleetpose.pose_server.state.pair_queue import SHARES, PairQueue
-from fleetpose.pose_server.state.pairs import PairRecord
+from fleetpose.pose_server.state.pairs import PairRecord, ViewPair
 from fleetpose.pose_server.state.robots import Robot
 from fleetpose.pose_server.state.site import Site
-from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.keys import RobotPair, ordered_pair
 from fleetpose.protocol.messages import ViewName
-
-RobotPair = tuple[str, str]
-ViewPair = tuple[ViewName, ViewName]
 
 _MOST_UNTRIED = 8  # keyframe pairs of two robots that wait at a time
 

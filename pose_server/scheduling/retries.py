@@ -11,11 +11,11 @@ from fleetpose.pose_server.scheduling.proposals import (
     LEAST_OVERLAP,
     expected_overlaps,
 )
-from fleetpose.pose_server.state.pairs import PairRecord, RobotPair
+from fleetpose.pose_server.state.pairs import PairRecord
 from fleetpose.pose_server.state.robots import Robot
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.state.views import KeptView, likeness, something_moved, stands_still
-from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.keys import RobotPair, ordered_pair
 from fleetpose.protocol.messages import ViewName
 
 _MOST_DOUBLINGS = 20  # of the rest between two tries: months

@@ -8,8 +8,9 @@ two are here.
 
 from fleetpose.pose_server.registration.operator_starts import FULL_POSE
 from fleetpose.pose_server.scheduling.settings import Line
-from fleetpose.pose_server.state.pairs import PairRecord, RobotPair
+from fleetpose.pose_server.state.pairs import PairRecord
 from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.keys import RobotPair
 
 _LEAST_PROMISE = 0.05  # looks deceive: no pair is hopeless
 _WRONG_NEEDS = 3.0  # a pair whose best alignment is not trusted needs more than its share

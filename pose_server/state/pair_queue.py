@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 
 from fleetpose.pose_server.scheduling.settings import Line
 from fleetpose.pose_server.scheduling.weighted_round_robin import WeightedRoundRobin
-from fleetpose.pose_server.state.pairs import RobotPair, ViewPair
+from fleetpose.pose_server.state.pairs import ViewPair
+from fleetpose.protocol.keys import RobotPair
 from fleetpose.protocol.messages import ViewName
 
 SHARES: dict[Line, float] = {"joining": 8.0, "unlikely": 1.0, "sharpening": 2.0}

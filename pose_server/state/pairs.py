@@ -7,9 +7,6 @@ import numpy as np
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.protocol.messages import ViewName
 
-RobotPair = tuple[str, str]
-
-
 ViewPair = tuple[ViewName, ViewName]
 
 

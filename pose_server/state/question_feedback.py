@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from fleetpose.pose_server.questions.ranking import CLICKS_TO_JOIN, FleetUncertainty
-from fleetpose.pose_server.state.pairs import RobotPair, ViewPair
+from fleetpose.pose_server.state.pairs import ViewPair
+from fleetpose.protocol.keys import RobotPair
 from fleetpose.protocol.messages import Answer, Question
 
 Client = tuple[str, str]

@@ -25,13 +25,13 @@ from fleetpose.pose_server.state.doubts import Doubts
 from fleetpose.pose_server.state.odometry import Odometers
 from fleetpose.pose_server.state.origins import Anchoring
 from fleetpose.pose_server.state.pair_queue import PairQueue
-from fleetpose.pose_server.state.pairs import PairRecord, RobotPair, ViewPair
+from fleetpose.pose_server.state.pairs import PairRecord, ViewPair
 from fleetpose.pose_server.state.question_feedback import QuestionFeedback
 from fleetpose.pose_server.state.robots import Robot
 from fleetpose.pose_server.state.views import KeptView, ViewStore, same_camera
 from fleetpose.pose_server.workers.jobs import EncodedView
 from fleetpose.protocol.errors import FleetPoseError
-from fleetpose.protocol.keys import ordered_pair
+from fleetpose.protocol.keys import RobotPair, ordered_pair
 from fleetpose.protocol.messages import Alarm, PairCell, ViewName
 
 Floats = npt.NDArray[np.floating]

@@ -17,7 +17,7 @@ from fleetpose.evaluation.data.recording import Recording, TrueView, shared_trac
 from fleetpose.evaluation.metrics.scoring import Limits, optical_angle_deg, share
 from fleetpose.evaluation.options.recorded import ClicksOptions
 from fleetpose.evaluation.report.output import output_folder, write_summary
-from fleetpose.protocol.errors import DataFolderError, FleetPoseError
+from fleetpose.protocol.errors import DataFolderError
 
 _RESAMPLED = 1000
 
@@ -26,14 +26,9 @@ def run(options: ClicksOptions, out: Path) -> dict[str, Any]:
     """Clicks and aligns; writes poses.csv, pairs.csv, summary.json; returns the summary.
 
     Raises:
-        FleetPoseError: the data cannot be used, no pair is in the range, or more clicks were to be
-            wrong than there are.
+        DataFolderError: the data cannot be used, or no pair is in the range.
     """
-    count, most = options.clicks
-    if count < most:
-        raise FleetPoseError(f"--clicks {count}..{most}: from..to goes with --consistent-wrong")
-    if options.wrong > count:
-        raise FleetPoseError(f"--wrong {options.wrong}: of {count} clicks at most all are")
+    count, _ = options.clicks
     recording = options.recording()
     pairs = {(i.index, j.index): (i, j) for i, j in pairs_in_range(recording, options)}
     output_folder(out)
