@@ -6,7 +6,7 @@ journalled) -> `urgent_job` ~~ a worker kept for it aligns ~~ `take_result` -> `
 publishes what changed.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -34,13 +34,14 @@ from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose, accepted
 from fleetpose.pose_server.pose_graph.graph import solve_fleet
 from fleetpose.pose_server.pose_graph.types import GRAVE_BY_VERDICT, Edge, SolveSettings
 from fleetpose.pose_server.questions.feedback import note_clicks, note_selection, note_solved
+from fleetpose.pose_server.registration.operator_starts import FULL_POSE
 from fleetpose.pose_server.registration.refinement import Start
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.scheduling import pair_queue
 from fleetpose.pose_server.scheduling.affine_retries import note_open, wide_job
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.state.views import KeptView
-from fleetpose.pose_server.workers.jobs import Done, Job
+from fleetpose.pose_server.workers.jobs import ClickJob, Done, Job, PairJob, TrackJob
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.keys import RobotPair, ordered_pair
 from fleetpose.protocol.messages import OperatorUpdate, Selection, ViewName
@@ -90,14 +91,12 @@ def receive_token(site: Site, name: str, epoch: str, alive: bool) -> None:
         return
     robot = site.newcomer(name) if alive else site.robot(name)
     was = robot.epoch
-    robot.epochs = [known for known in robot.epochs if known != epoch]
-    if alive:
-        robot.epochs.append(epoch)
-    elif robot.epoch is None and robot.newest is None:
-        del site.robots[name]  # it never showed anything
+    robot.note_token(epoch, alive)
+    if robot.epoch is None and robot.newest is None:
+        site.forget_robot(name)
     if robot.epoch != was:
         site.say(f"{name} is here" if robot.epoch else f"{name} is gone")
-    view = site.held_back.pop(name, None)
+    view = site.take_held_back(name)
     if view is not None and robot.epoch == view.name.epoch:
         receive_view(site, view)
 
@@ -125,9 +124,9 @@ def receive_update(site: Site, update: OperatorUpdate) -> list[Outcome]:
     )
     for outcome in outcomes:
         if outcome.accepted:
-            site.pair(*outcome.pair).clicks_due = True
+            site.pair(*outcome.pair).make_due("clicks")
             pair_queue.reweigh(site, outcome.pair)
-            site.dirty = True
+            site.want_solution()
             for view in outcome.views:
                 localize_past(site, view)
     note_clicks(site, outcomes)
@@ -152,7 +151,7 @@ def next_job(site: Site, now_s: float) -> Job | None:
 
 def take_result(site: Site, done: Done, now_s: float) -> None:
     """Files an alignment: as a robot's own motion, or between two robots."""
-    if done.job.purpose == "track":
+    if isinstance(done.job, TrackJob):
         followed(site, done)
     else:
         _paired(site, done, now_s)
@@ -168,24 +167,25 @@ def solve(site: Site, now_s: float, wanted: Collection[ViewName] | None = None) 
     nodes = site.keyframes()
     if not nodes:
         return
-    site.gauge = gauge_of(site, nodes)
+    site.set_gauge(gauge_of(site, nodes))
     first = {
         name: robot.track.keyframes[0]
         for name, robot in site.robots.items()
         if robot.track.keyframes
     }
-    site.solution = solve_fleet(
-        nodes,
-        believed(site),
-        click_factors(site),
-        gauge=site.gauge,
-        newest=first,
-        previous=site.solution,
-        settings=_settings(site, nodes),
-        wanted=_covariances_due(site) if wanted is None else wanted,
+    depth_m = site.set_depth(float(np.median([site.views[v].median_depth_m for v in nodes])))
+    site.solved(
+        solve_fleet(
+            nodes,
+            believed(site),
+            click_factors(site),
+            gauge=site.gauge,
+            newest=first,
+            previous=site.solution,
+            settings=SolveSettings.at_depth(depth_m),
+            wanted=_covariances_due(site) if wanted is None else wanted,
+        )
     )
-    site.dirty = False
-    site.count("solves")
     note_refuted(site)
     note_repetition(site)
     reconsider(site)
@@ -212,14 +212,11 @@ def note_components(site: Site) -> bool:
         placed = None if robot.track.newest is None else site.camera_pose(robot.track.newest.view)
         if placed is not None:
             now[name] = site.component_name(placed[0])
-    changed = [
-        name for name, component in now.items() if site.components.get(name, component) != component
-    ]
+    changed = site.renew_components(now)
     if changed:
-        site.gauge_revision += 1
-        for name in changed:
-            site.say(f"{name} is now in component {now[name]} (was {site.components[name]})")
-    site.components = now
+        site.raise_revision()
+    for name, before in changed.items():
+        site.say(f"{name} is now in component {now[name]} (was {before})")
     return bool(changed)
 
 
@@ -229,18 +226,8 @@ def _covariances_due(site: Site) -> set[ViewName]:
     """
     here = {robot.track.newest.keyframe for robot in site.robots.values() if robot.track.newest}
     known = {} if site.solution is None else site.solution.nodes
-    solve = site.counts.get("solves", 0)
-    asked = {view: at for view, at in site.covariances.items() if view in here}
     new = {view for view in here if view not in known or known[view].covariance is None}
-    oldest = sorted(here - new, key=lambda view: asked.get(view, -1))[:_COVARIANCES_AT_ONCE]
-    due = new.union(oldest)
-    site.covariances = asked | dict.fromkeys(due, solve)
-    return due
-
-
-def _settings(site: Site, nodes: Sequence[ViewName]) -> SolveSettings:
-    site.depth_m = float(np.median([site.views[node].median_depth_m for node in nodes]))
-    return SolveSettings.at_depth(site.depth_m)
+    return site.take_turns(here, new, _COVARIANCES_AT_ONCE)
 
 
 def _click_job(site: Site) -> Job | None:
@@ -248,15 +235,15 @@ def _click_job(site: Site) -> Job | None:
     what they said of its views counts where it is known.
     """
     for (a, b), record in site.pairs.items():
-        if not record.clicks_due or record.running:
+        if not record.is_due("clicks"):
             continue
-        record.clicks_due = False
+        record.make_due("nothing")
         job = _with_clicks(site, a, b)
         if job is None:
             note_heard(site, (a, b), None, None)
             _unlink_operator(site, a, b)
             continue
-        record.running = True
+        record.start()
         return replace(job, known=record.searched.get((job.i.name, job.j.name)), features=False)
     return None
 
@@ -264,22 +251,21 @@ def _click_job(site: Site) -> Job | None:
 def _search_job(site: Site) -> Job | None:
     """The next pair whose clicks found nothing sure quickly: features are asked beside them."""
     for (a, b), record in site.pairs.items():
-        if record.search_due and not (record.running or record.clicks_due):
-            record.search_due = False
+        if record.is_due("search"):
+            record.make_due("nothing")
             if (job := _with_clicks(site, a, b)) is not None:
-                record.running = True
+                record.start()
                 return job
     return None
 
 
-def _with_clicks(site: Site, a: str, b: str) -> Job | None:
+def _with_clicks(site: Site, a: str, b: str) -> ClickJob | None:
     """A pair's correspondences, to be aligned between the views that most of them hang on."""
     found = clicks_between(site, a, b)
     if found is None:
         return None
     (i, j), clicks = found
-    return Job(
-        "clicks",
+    return ClickJob(
         site.encoded(i),
         site.encoded(j),
         starts=_known_starts(site, i, j),
@@ -313,8 +299,8 @@ def _pair_job(site: Site, now_s: float) -> Job | None:
     if chosen is None:
         return None
     pair, (i, j) = chosen
-    site.pairs[pair].running = True
-    return Job("pair", site.encoded(i), site.encoded(j), _known_starts(site, i, j))
+    site.pairs[pair].start()
+    return PairJob(site.encoded(i), site.encoded(j), _known_starts(site, i, j))
 
 
 def _known_starts(site: Site, i: ViewName, j: ViewName) -> tuple[Start, ...]:
@@ -324,42 +310,50 @@ def _known_starts(site: Site, i: ViewName, j: ViewName) -> tuple[Start, ...]:
 
 
 def _paired(site: Site, done: Done, now_s: float) -> None:
-    i, j = done.job.i.name, done.job.j.name
-    record = site.pair(i.robot, j.robot)
-    record.running = False
-    record.alignments += 1
+    i, j = views = done.job.views
+    pair = ordered_pair(i.robot, j.robot)
+    record, result = site.pair(*pair), done.result
+    record.stop(done.outcome, views, now_s)
     site.count("alignments")
-    record.last_s = now_s
-    for name in (i.robot, j.robot):
-        site.robot(name).errors = None
-    site.touched.update((i.robot, j.robot))
-    record.last, record.last_views, record.refuted = done.outcome, (i, j), False
-    record.failures = record.failures + 1 if done.outcome.verdict == "rejected" else 0
+    site.touch(*pair)
     note_repetition(site)
-    if done.result is None:
+    if result is None:
         site.say(f"alignment of {i} and {j} failed: {done.error}")
         return
     note_depths(site, done)
     note_mirror(site, done)
-    record.tried.setdefault((i, j), set()).add(done.job.purpose)
-    if done.job.purpose == "clicks" and not done.job.features:
-        may_ask = ordered_pair(i.robot, j.robot) not in site.skip
-        record.search_due = may_ask and done.result.verdict != "verified"
-    if done.job.purpose == "clicks":
-        note_heard(site, (i.robot, j.robot), done.job.clicks, done.result.hearing)
-    if done.job.features and (done.job.clicks is None or done.result.verdict == "verified"):
-        record.searched[i, j] = done.result  # by features; what clicks added is not
     note_open(site, done)
-    if _is_better(done.result, record.best):
-        record.best, record.best_views = done.result, (i, j)
+    if isinstance(done.job, ClickJob):
+        _conclude_clicks(site, pair, done.job, result)
+    by_clicks = isinstance(done.job, ClickJob) and result.verdict != "verified"
+    record.learn(result, views, done.job.kind, done.job.features and not by_clicks)
+    _conclude_link(site, done)
+    pair_queue.enqueue(site, pair, now_s)
+
+
+def _conclude_clicks(site: Site, pair: RobotPair, job: ClickJob, result: PairResult) -> None:
+    """What the images said of a pair's clicks, and whether features are to be asked beside them."""
+    record = site.pair(*pair)
+    if not job.features and not record.clicks_due:
+        sure = pair in site.skip or result.verdict == "verified"
+        record.make_due("nothing" if sure else "search")
+    note_heard(site, pair, job.clicks, result.hearing)
+    if _refuses_clicks(result):
+        _unlink_operator(site, *pair)
+
+
+def _conclude_link(site: Site, done: Done) -> None:
+    """The edge of the graph that an alignment is worth; what was sure of an ambiguous one is not
+    any more.
+    """
+    (i, j), result = done.job.views, done.result
     at_i, at_j = site.attached(i), site.attached(j)
-    if done.job.purpose == "clicks" and _refuses_clicks(done.result):
-        _unlink_operator(site, i.robot, j.robot)
-    if done.result.verdict == "ambiguous" and at_i is not None and at_j is not None:
-        site.unlink((at_i.keyframe, at_j.keyframe, "pair"))  # what was sure of it is not any more
-    if accepted(done.result) and at_i is not None and at_j is not None:
+    if result is None or at_i is None or at_j is None:
+        return
+    if result.verdict == "ambiguous":
+        site.unlink((at_i.keyframe, at_j.keyframe, "pair"))
+    if accepted(result):
         _link_pair(site, at_i, at_j, done)
-    pair_queue.enqueue(site, ordered_pair(i.robot, j.robot), now_s)
 
 
 def _refuses_clicks(result: PairResult) -> bool:
@@ -381,8 +375,8 @@ def _link_pair(site: Site, i: KeyframeRelativePose, j: KeyframeRelativePose, don
     if i.keyframe == j.keyframe or not known:  # a keyframe may have been dropped meanwhile
         return
     T, covariance = on_keyframes(done.result, i, j)
-    clicks, result = done.job.clicks, done.result
-    enough = clicks is not None and len(clicks.z_i) >= 3
+    job, result = done.job, done.result
+    enough = isinstance(job, ClickJob) and len(job.clicks.z_i) >= FULL_POSE
     operator, grown = result.confirmed and enough, result.grown and enough
     # two parts of one robot's track join as two robots do: it does not know the way between them
     edge = Edge(
@@ -400,13 +394,3 @@ def _link_pair(site: Site, i: KeyframeRelativePose, j: KeyframeRelativePose, don
 
 def _rank(edge: Edge) -> int:
     return {"verified": 3, "plausible": 2}.get(edge.verdict, 0)
-
-
-_GOOD = {"verified": 3, "plausible": 2, "ambiguous": 1, "rejected": 0}
-
-
-def _is_better(new: PairResult, old: PairResult | None) -> bool:
-    """Verdict first, then inliers. The best says what a pair may be worth; shown is the last."""
-    if old is None:
-        return True
-    return (_GOOD[new.verdict], new.inliers) >= (_GOOD[old.verdict], old.inliers)

@@ -41,11 +41,16 @@ def build(settings: ServerSettings) -> Service:
     journal_file, graph_file = folder_files(settings.state_dir)
     journal = Journal(journal_file)
     site = restored_site(
-        journal, stored_graph(graph_file), skip, settings.anchor, settings.located_sigma
+        journal,
+        stored_graph(graph_file),
+        skip,
+        settings.anchor,
+        located_sigma=settings.located_sigma,
+        located_grave=settings.located_grave,
+        recipe=settings.recipe,
+        icp=settings.icp,
+        weights=Weights(settings.weight_clicks, settings.weight_error, settings.retry_s),
     )
-    site.located_grave = settings.located_grave
-    site.recipe, site.icp = settings.recipe, settings.icp
-    site.weights = Weights(settings.weight_clicks, settings.weight_error, settings.retry_s)
     endpoints = SessionSettings(settings.connect, settings.listen, settings.config)
     return Service(site, journal, Link(open_session(endpoints)), settings)
 

@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 
 from fleetpose.pose_server.messages import builders
 from fleetpose.pose_server.messages.builders import Stamp
+from fleetpose.pose_server.messages.error_matrix import CellCache
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.pose_server.state.site import Site
 from fleetpose.protocol.keys import Keys, RobotPair
-from fleetpose.protocol.messages import FleetState, OperatorUpdate, ViewName
+from fleetpose.protocol.messages import FleetState, OperatorUpdate, PairError, ViewName
 from fleetpose.protocol.messages.base import Message
 
 _STATE_SHARE = 0.05  # of the server's own thread that making the fleet's state may take
@@ -36,6 +37,8 @@ class FleetPublisher:
     _numbers: dict[str, int] = field(default_factory=dict)
     _saw_newest: dict[str, object] = field(default_factory=dict)
     _saw_solution: object = None
+    _errors: dict[str, tuple[PairError, ...]] = field(default_factory=dict)
+    _cells: CellCache = field(default_factory=dict)
 
     def moved(self) -> None:
         """Poses of robots with a newer view, and of those that a solve moved or whose pair was
@@ -44,19 +47,26 @@ class FleetPublisher:
         site = self.site
         solved = self._saw_solution is not site.solution
         self._saw_solution = site.solution
+        for name in site.touched:
+            self._errors.pop(name, None)
         touched = set() if site.dirty else site.touched  # what they led to is still to be solved
         for name, robot in site.robots.items():
             newest = robot.track.newest
             moved = name in touched or (solved and builders.has_moved(site, robot))
             if newest is None or (self._saw_newest.get(name) is newest and not moved):
                 continue
-            pose = builders.robot_pose(site, robot, self.settings, self.stamp())
-            if pose is None:
+            if name not in self._errors:
+                self._errors[name] = builders.pair_errors(site, robot)
+            found = builders.robot_pose(
+                site, robot, self.settings, self.stamp(), self._errors[name]
+            )
+            if found is None:
                 continue
             self._saw_newest[name] = newest
-            robot.published = pose
-            self.put(self.keys.pose(name), pose)
-        touched.clear()
+            robot.publish(*found)
+            self.put(self.keys.pose(name), found[0])
+        if not site.dirty:
+            site.note_told()
 
     def alignment(self, i: ViewName, j: ViewName, result: PairResult) -> None:
         """An alignment of two robots' views."""
@@ -79,7 +89,7 @@ class FleetPublisher:
         """The fleet's state; returns for how many seconds none is worth its cost."""
         began_s = time.monotonic()
         state = builders.fleet_state(
-            self.site, self.settings, self.stamp(), self._count_up("state")
+            self.site, self.settings, self.stamp(), self._count_up("state"), self._cells
         )
         self.put(self.keys.state, state)
         self._tell_again(state)
@@ -93,9 +103,9 @@ class FleetPublisher:
             robot = self.site.robots[told.robot]
             before, now = robot.published, told.pose
             if before is not None and now is not None and now.located != before.located:
-                robot.poses_sent += 1
-                robot.published = now.model_copy(update={"n": robot.poses_sent, "jumped": False})
-                self.put(self.keys.pose(robot.name), robot.published)
+                again = now.model_copy(update={"n": robot.poses_sent + 1, "jumped": False})
+                robot.publish(again)
+                self.put(self.keys.pose(robot.name), again)
 
     def stamp(self) -> Stamp:
         """This server, now."""

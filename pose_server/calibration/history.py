@@ -38,7 +38,7 @@ class DepthHistory:
         moments: what robots' own views say of when their depths are measured.
         mirrors: which robots fit only if one of both is mirrored.
         clocks: what arrivals say of the robots' clocks.
-        changed: whether anything was said or forgotten since it was set to false.
+        changed: whether anything was said or forgotten since that was asked last.
         compared: the same of comparisons of two robots.
     """
 
@@ -69,6 +69,16 @@ class DepthHistory:
         self.moments.forget(robot)
         self.mirrors.forget(robot)
         self._pairs = {pair: said for pair, said in self._pairs.items() if robot not in pair}
+
+    def note_change(self) -> None:
+        """Something was said of moments, mirrors or clocks."""
+        self.changed = True
+
+    def take_changes(self) -> tuple[bool, bool]:
+        """Whether anything was said since this was asked last, and whether a comparison was."""
+        changes = self.changed, self.compared
+        self.changed = self.compared = False
+        return changes
 
     @property
     def robots(self) -> list[str]:

@@ -37,7 +37,7 @@ _CHECK = "`robot-agent calibrate-check`"
 
 def standing(site: Site) -> tuple[Alarm, ...]:
     """All alarms that stand now."""
-    return (*anchor_alarms(site), *doubt_alarms(site), *site.alarms)
+    return (*anchor_alarms(site), *doubt_alarms(site), *site.alarms.standing)
 
 
 def note_depths(site: Site, done: Done) -> None:
@@ -58,14 +58,15 @@ def note_mirror(site: Site, done: Done) -> None:
     result = done.result
     if result is None or i == j or not (result.mirrored or result.verdict == "verified"):
         return
-    site.depths.changed |= site.depths.mirrors.note(i, j, result.mirrored)
+    if site.depths.mirrors.note(i, j, result.mirrored):
+        site.depths.note_change()
 
 
 def note_time_offset(site: Site, done: Done) -> None:
     """Keeps what an alignment of a robot's own views says of when its depths are measured."""
     if done.result is not None and done.result.shift is not None:
         site.depths.moments.note(done.job.i.name, done.job.j.name, done.result.shift)
-        site.depths.changed = True
+        site.depths.note_change()
 
 
 def note_arrival(site: Site, view: KeptView, now_ns: int) -> None:
@@ -73,7 +74,7 @@ def note_arrival(site: Site, view: KeptView, now_ns: int) -> None:
     robot, epoch = view.name.robot, view.name.epoch
     if robot in site.robots:
         site.depths.clocks.note(robot, epoch, 1e-9 * (view.stamp_ns - now_ns))
-        site.depths.changed = True
+        site.depths.note_change()
 
 
 def note_motion(site: Site, view: ViewName, mask: Mask | None) -> None:
@@ -91,29 +92,25 @@ def note_motion(site: Site, view: ViewName, mask: Mask | None) -> None:
         )
         site.say(event)
         log.info("%s", event)
-    track.motion_s, track.motion_told = now_s, goes_on
+    track.note_motion(now_s, told=goes_on)
 
 
 def judge_calibrations(site: Site) -> None:
     """Renews the alarms; a new one is an event as well."""
-    if not site.depths.changed:
+    changed, compared = site.depths.take_changes()
+    if not changed:
         return
-    site.depths.changed = False
-    if site.depths.compared:
-        site.depths.compared = False
-        site.depth_distortions = tuple(_of_bends(site))
-    alarms = list(site.depth_distortions)
+    if compared:
+        site.alarms.keep_distortions(_of_bends(site))
+    alarms = list(site.alarms.distortions)
     bent = {alarm.robot for alarm in alarms}
     alarms += _of_scales(site, bent)
     alarms += _of_skews(site, bent)
     alarms += _of_clocks(site)
     alarms += _of_mirrors(site)
-    site.alarms = tuple(alarms)
-    for alarm in alarms:
-        if (alarm.robot, alarm.kind) not in site.alarms_told:
-            site.alarms_told.add((alarm.robot, alarm.kind))
-            site.say(alarm.text)
-            log.warning("alarm robot=%s kind=%s text=%s", alarm.robot, alarm.kind, alarm.text)
+    for alarm in site.alarms.renew(alarms):
+        site.say(alarm.text)
+        log.warning("alarm robot=%s kind=%s text=%s", alarm.robot, alarm.kind, alarm.text)
 
 
 def forward_speed(site: Site, view: ViewName) -> float:

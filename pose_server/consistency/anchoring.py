@@ -31,8 +31,7 @@ def choose_anchor(site: Site) -> None:
     fleets = [{view.robot for view in views} for views in site.solution.components.values()]
     largest = max(fleets, key=len)
     if len(largest) > 1:
-        site.anchor = min(largest)
-        site.dirty = True
+        site.set_anchor(min(largest))
         site.say(f"{site.anchor} is the anchor: the fleet's origin")
 
 
@@ -47,11 +46,8 @@ def note_anchor(site: Site, now_s: float) -> None:
     if site.solution is not None and site.gauge is not None:
         origin = site.solution.nodes.get(site.gauge)
     if origin is None or origin.root in fleets or not elsewhere:
-        anchoring.left_s = None
-    elif anchoring.left_s is None:
-        anchoring.left_s = now_s
-    elif now_s - anchoring.left_s >= PATIENCE_S:
-        anchoring.left_s = None
+        anchoring.is_seen()
+    elif anchoring.has_left(now_s, PATIENCE_S):
         root = max(elsewhere, key=lambda one: len(elsewhere[one]))
         _move(site, root, elsewhere[root])
 
@@ -102,19 +98,18 @@ def _note_absent(site: Site, now_s: float) -> None:
     anchoring = site.anchoring
     seen = sorted(name for name, robot in site.robots.items() if robot.track.keyframes)
     if site.anchor is None or site.anchor in seen or not seen:
-        anchoring.waits_s, anchoring.missing = None, ""
+        anchoring.is_there()
         return
-    anchoring.waits_s = now_s if anchoring.waits_s is None else anchoring.waits_s
-    if now_s - anchoring.waits_s < PATIENCE_S / 2:  # it may come as the others did
+    if anchoring.waits(now_s) < PATIENCE_S / 2:  # it may come as the others did
         return
     if site.anchor != anchoring.asked:
         site.say(
             f"{site.anchor} was the anchor before and is not there: the fleet gets another one"
         )
-        site.anchor, site.dirty = None, True
-        site.gauge_revision += 1
+        site.set_anchor(None)
+        site.raise_revision()
     elif not anchoring.missing:
-        anchoring.missing = _missing_text(site, site.anchor, seen)
+        anchoring.miss(_missing_text(site, site.anchor, seen))
         site.say(anchoring.missing)
 
 
@@ -151,12 +146,10 @@ def _move(site: Site, root: ViewName, robots: Sequence[str]) -> None:
     before = [view for view in site.anchoring.origins if view in component]
     preferred = [name for name in (site.anchoring.asked, site.anchor) if name in robots]
     name = preferred[0] if preferred else robots[0]
-    site.gauge = before[-1] if before else next(view for view in here if view.robot == name)
-    site.anchor = site.gauge.robot
-    site.anchoring.origins = [
-        view for view in (*site.anchoring.origins, left) if view != site.gauge
-    ]
-    site.dirty = True
+    origin = before[-1] if before else next(view for view in here if view.robot == name)
+    site.set_gauge(origin)
+    site.set_anchor(origin.robot)
+    site.anchoring.move(left, origin)
     again = "again" if before else "from now on"
     site.say(
         f"no robot sees the fleet's old place any more, and {', '.join(robots)} see each other: "

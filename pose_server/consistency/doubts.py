@@ -7,7 +7,6 @@ lasts.
 
 import logging
 from collections.abc import Collection
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -87,12 +86,12 @@ def wheels_disagree(site: Site, robot: Robot, here: KeyframeRelativePose) -> boo
         before = None if moment is None else _a_while_before(site, robot, here)
         if before is None or not _contradict(kept, before, here, moment):
             return False
-        site.doubts.standstills[robot.name] = Standstill(*before, kept.received_s)
+        site.doubts.stop(robot.name, Standstill(*before, kept.received_s))
         return True
     if stood.at.view.epoch != here.view.epoch:
         moment = None  # odometry of another life has another frame
     if _is_over(site, stood, here, moment):
-        del site.doubts.standstills[robot.name]
+        site.doubts.move(robot.name)
         _believe(site, robot.name, ("still",), "is seen to move as its odometry says")
         return False
     if moment is not None and kept.received_s - stood.since_s >= _CONFIRMED_S:
@@ -138,22 +137,17 @@ def reconsider(site: Site) -> None:
 
 
 def _doubt(site: Site, robot: Robot, doubt: Doubt) -> None:
-    known = site.doubts.standing.get(robot.name)
-    if known is not None and known.kind == doubt.kind:
-        site.doubts.standing[robot.name] = replace(known, text=doubt.text)
+    if not site.doubts.doubt(robot.name, doubt):
         return
-    site.doubts.standing[robot.name] = doubt
-    site.touched.add(robot.name)  # its pose is told anew, as one that is not located
+    site.touch(robot.name)  # its pose is told anew, as one that is not located
     site.say(doubt.text)
     log.warning("alarm robot=%s kind=%s text=%s", robot.name, doubt.kind, doubt.text)
 
 
 def _believe(site: Site, name: str, kinds: Collection[Kind], why: str) -> None:
     """Ends a doubt of one of these kinds, if there is one."""
-    known = site.doubts.standing.get(name)
-    if known is not None and known.kind in kinds:
-        del site.doubts.standing[name]
-        site.touched.add(name)
+    if site.doubts.believe(name, kinds):
+        site.touch(name)
         site.say(f"{name} {why}")
 
 

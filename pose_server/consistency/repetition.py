@@ -37,8 +37,8 @@ def believed(site: Site) -> list[Edge]:
     """The graph's edges as far as the place lets them be believed. What is doubted is no witness
     for another one: who takes one wing for the other does so in all pairs.
     """
-    site.repetition = repetition(site)
-    return [_doubted(edge, site.repetition) for edge in site.edges.values()]
+    share = site.set_repetition(repetition(site))
+    return [_doubted(edge, share) for edge in site.edges.values()]
 
 
 def _doubted(edge: Edge, share: float) -> Edge:
@@ -55,7 +55,7 @@ def note_repetition(site: Site) -> None:
     """
     share = repetition(site)
     if (share > 0) != (site.repetition > 0) or abs(share - site.repetition) > _OTHERWISE:
-        site.dirty = True
+        site.want_solution()
 
 
 def note_refuted(site: Site) -> None:
@@ -66,4 +66,4 @@ def note_refuted(site: Site) -> None:
     for key, edge in site.edges.items():
         said = site.solution.edges.get(key)
         if edge.verdict == "verified" and edge.kind == "pair" and said is not None and said.outlier:
-            site.pair(edge.a.robot, edge.b.robot).refuted = True
+            site.pair(edge.a.robot, edge.b.robot).refute()

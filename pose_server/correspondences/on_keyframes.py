@@ -19,6 +19,8 @@ from fleetpose.pose_server.geometry.se3 import transform
 from fleetpose.pose_server.pose_graph.types import ClickFactor
 from fleetpose.pose_server.registration.operator_starts import FULL_POSE, Clicks
 from fleetpose.pose_server.registration.verdict.hearing import Hearing
+from fleetpose.pose_server.state.click_caches import JudgedAt
+from fleetpose.pose_server.state.pairs import ViewPair
 from fleetpose.pose_server.state.site import Site
 from fleetpose.protocol.keys import RobotPair
 from fleetpose.protocol.messages import CorrespondenceStatus, ViewName
@@ -33,7 +35,8 @@ def click_factors(site: Site) -> list[ClickFactor]:
     """The live correspondences whose views hang on keyframes of the graph. What their pair refuses
     is left out, and so is what it is still to be asked about.
     """
-    nodes, before, site.factors = set(site.keyframes()), site.factors, {}
+    nodes, before = set(site.keyframes()), site.clicks.factors
+    factors: dict[int, tuple[tuple[object, ...], ClickFactor]] = {}
     for kept in site.correspondences.all():
         i, j = site.attached(kept.item.view_i), site.attached(kept.item.view_j)
         if i is None or j is None or i.keyframe not in nodes or j.keyframe not in nodes:
@@ -50,8 +53,9 @@ def click_factors(site: Site) -> list[ClickFactor]:
             known = made_of, factor
         if known[1].p_grave != p_grave:
             known = known[0], replace(known[1], p_grave=p_grave)
-        site.factors[number] = known
-    return [factor for _, factor in site.factors.values()]
+        factors[number] = known
+    site.clicks.keep_factors(factors)
+    return [factor for _, factor in factors.values()]
 
 
 def _heard_as(site: Site, kept: Kept) -> float | None:
@@ -77,14 +81,12 @@ def note_heard(site: Site, pair: RobotPair, clicks: Clicks | None, hearing: Hear
     """Files what became of a pair's correspondences when the images were asked about them."""
     record = site.pair(*pair)
     if clicks is None or hearing is None:
-        record.heard, record.clicks_grave, record.told = {}, 1.0, ""
+        record.hear({}, 1.0, "")
         return
-    record.heard = dict(zip(clicks.ids, hearing.accepted, strict=True)) if clicks.ids else {}
-    record.clicks_grave = hearing.p_grave
-    if hearing.told and hearing.told != record.told:
+    heard = dict(zip(clicks.ids, hearing.accepted, strict=True)) if clicks.ids else {}
+    if record.hear(heard, hearing.p_grave, hearing.told):
         site.say(hearing.told)
-    record.told = hearing.told
-    site.dirty = True
+    site.want_solution()
 
 
 def clicks_between(site: Site, a: str, b: str) -> tuple[tuple[ViewName, ViewName], Clicks] | None:
@@ -123,7 +125,8 @@ def judge(site: Site) -> list[RobotPair]:
     changed.
     """
     changed = []
-    before, site.judged = site.judged, {}
+    before = site.clicks.judged
+    now: dict[ViewPair, JudgedAt] = {}
     for pair in site.correspondences.pairs():
         by_views: dict[tuple[ViewName, ViewName], list[Kept]] = defaultdict(list)
         for kept in site.correspondences.of(*pair):
@@ -144,13 +147,14 @@ def judge(site: Site) -> list[RobotPair]:
                 and _alike(known[1], T_i_j, site.depth_m)
                 and known[2] == refused
             ):
-                site.judged[views] = known
+                now[views] = known
             else:
-                site.judged[views] = points, T_i_j, refused
+                now[views] = points, T_i_j, refused
                 verdicts |= _judged(site, views, clicked, T_i_j, refused)
         if site.correspondences.set_status(pair, verdicts):
             changed.append(pair)
         _note_contradicted(site, pair)
+    site.clicks.keep_judged(now)
     return changed
 
 
@@ -169,9 +173,8 @@ def _note_contradicted(site: Site, pair: RobotPair) -> None:
             f"{wrong} points in {pair[0]} and {pair[1]} fit each other, but the rest of the fleet "
             "contradicts them: are these the same places in both images?"
         )
-        if told != record.contradicted:
-            site.say(told)
-    record.contradicted = told
+    if record.contradict(told):
+        site.say(told)
 
 
 def _same(before: Sequence[object], now: Sequence[object]) -> bool:

@@ -3,7 +3,6 @@ comes, and older ones that an operator looks at.
 """
 
 from collections import Counter
-from typing import TypeVar
 
 import numpy as np
 
@@ -23,11 +22,10 @@ from fleetpose.pose_server.scheduling.pair_queue import note_keyframe, try_again
 from fleetpose.pose_server.scheduling.proposals import candidate_views
 from fleetpose.pose_server.scheduling.retries import note_stand
 from fleetpose.pose_server.state.odometry import camera_motion
-from fleetpose.pose_server.state.pairs import ViewPair
 from fleetpose.pose_server.state.robots import Robot
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.state.views import STILL_PX, KeptView, something_moved, stands_still
-from fleetpose.pose_server.workers.jobs import Done, Job
+from fleetpose.pose_server.workers.jobs import Done, Job, TrackJob
 from fleetpose.protocol.messages import ViewName
 
 MOST_KEYFRAMES, LEAST_KEYFRAMES = 40, 6  # of a robot, in a small and in a large fleet
@@ -40,16 +38,16 @@ def newest_arrived(site: Site, robot: Robot, view: KeptView) -> None:
     """The newest view of a robot waits to be followed; where no pixel moved, or before the first
     keyframe, no worker is needed.
     """
-    robot.newest = robot.waiting = view.name
+    robot.arrive(view.name)
     note_stand(robot, view)
     site.odometers.at(view.name, view.stamp_ns)
     if camera_frozen(site, robot, view):
-        robot.waiting = None
+        robot.wait(None)
     elif not robot.track.keyframes:
-        robot.waiting = None
+        robot.wait(None)
         new_keyframe(site, robot, view.name)
     elif _stayed(site, robot, view, robot.track.reference or robot.track.keyframe_near(view.name)):
-        robot.waiting = None
+        robot.wait(None)
         try_again(site, robot, view.received_s)
 
 
@@ -64,17 +62,16 @@ def localize_past(site: Site, view: ViewName) -> None:
         view in (robot.waiting, robot.tracking, robot.past_in_flight) or view in robot.past_queue
     )
     if view in site.views and site.attached(view) is None and not on_its_way:
-        robot.past_queue.append(view)
+        robot.want_past(view)
 
 
 def back_job(site: Site) -> Job | None:
     """The next older view that somebody looks at."""
     for robot in site.robots.values():
-        while robot.past_queue and robot.past_in_flight is None:
-            view = robot.past_queue.pop(0)
+        while (view := robot.next_past()) is not None:
             if view not in site.views or site.attached(view) is not None:
                 continue
-            robot.track.past.add(view)
+            robot.track.recall_past(view)
             near = robot.track.keyframe_near(view)
             if _stayed(site, robot, site.views[view], near):
                 _placed(site, view)
@@ -89,8 +86,9 @@ def track_job(site: Site) -> Job | None:
     if not waiting:
         return None
     robot = min(waiting, key=lambda r: _followed_s(site, r))
-    view, robot.waiting = robot.waiting, None
+    view = robot.waiting
     assert view is not None
+    robot.wait(None)
     return _follow(site, robot, view)
 
 
@@ -99,16 +97,12 @@ def followed(site: Site, done: Done) -> None:
     view, keyframe = done.job.j.name, done.job.i.name
     robot = site.robot(view.robot)
     past = view in robot.track.past
-    if past:
-        robot.past_in_flight = None
-    else:
-        robot.tracking = None
+    robot.followed(view)
     if view not in site.views or keyframe not in site.views:
         return
     step = "try"
     if done.result is not None:
-        masks = zip((keyframe, view), done.result.moving, strict=True)
-        robot.track.masks |= {name: mask for name, mask in masks if mask is not None}
+        robot.track.mask(dict(zip((keyframe, view), done.result.moving, strict=True)))
         note_motion(site, view, done.result.moving[1])
         note_time_offset(site, done)
         if not past and _is_refuted(site, robot, view, keyframe, done.result):
@@ -142,7 +136,7 @@ def new_keyframe(site: Site, robot: Robot, view: ViewName) -> None:
         T, covariance = link.T_keyframe_view, link.covariance
         site.link(Edge(link.keyframe, view, T, covariance, link.verdict, kind))
     note_keyframe(site, view)
-    site.dirty = True
+    site.want_solution()
     share = FLEET_KEYFRAMES // max(len(site.robots), 1)
     if len(robot.track.keyframes) > min(max(share, LEAST_KEYFRAMES), MOST_KEYFRAMES):
         _drop_keyframe(site, robot)
@@ -150,9 +144,9 @@ def new_keyframe(site: Site, robot: Robot, view: ViewName) -> None:
 
 def _try_again(site: Site, robot: Robot, view: ViewName, past: bool) -> None:
     if past:
-        robot.past_queue.insert(0, view)
+        robot.want_past(view, first=True)
     elif robot.waiting is None:
-        robot.waiting = view
+        robot.wait(view)
     else:
         site.count("views_overtaken")
         if view in site.correspondences.views():
@@ -185,16 +179,14 @@ def _follow(site: Site, robot: Robot, view: ViewName) -> Job | None:
             _placed(site, view)
         return None
     starts: tuple[Start, ...] = ()
-    if past:
-        robot.past_in_flight = view
-    else:
-        robot.tracking = view
-        if robot.track.newest is not None and robot.track.newest.keyframe == keyframe:
-            starts = (Start("previous", robot.track.newest.T_keyframe_view, 0.03),)
+    robot.follow(view)
+    newest = robot.track.newest
+    if not past and newest is not None and newest.keyframe == keyframe:
+        starts = (Start("previous", newest.T_keyframe_view, 0.03),)
     here = _moved_by_odometry(site, keyframe, view)
     if here is not None:
         starts = (Start("previous", here.T_keyframe_view, _ODOMETRY_SIGMA),)
-    return Job("track", site.views[keyframe].encoded, site.views[view].encoded, starts)
+    return TrackJob(site.views[keyframe].encoded, site.views[view].encoded, starts)
 
 
 def _by_odometry(site: Site, robot: Robot, view: ViewName) -> KeyframeRelativePose | None:
@@ -257,16 +249,17 @@ def _ask_for_covariance(site: Site, keyframe: ViewName) -> None:
     """The next solve makes the covariance of a keyframe on which a robot has just come to hang."""
     if site.solution is not None:
         node = site.solution.nodes.get(keyframe)
-        site.dirty |= node is None or node.covariance is None
+        if node is None or node.covariance is None:
+            site.want_solution()
 
 
 def _placed(site: Site, view: ViewName) -> None:
     """An older view hangs somewhere now: clicks that were made in it begin to count."""
-    site.robot(view.robot).track.past.discard(view)
+    site.robot(view.robot).track.place_past(view)
     for kept in site.correspondences.all():
         if view in (kept.item.view_i, kept.item.view_j):
-            site.pair(kept.item.view_i.robot, kept.item.view_j.robot).clicks_due = True
-            site.dirty = True
+            site.pair(kept.item.view_i.robot, kept.item.view_j.robot).make_due("clicks")
+            site.want_solution()
 
 
 def _nearer_keyframe(
@@ -293,13 +286,7 @@ def _drop_keyframe(site: Site, robot: Robot) -> None:
     if oldest is None:
         return
     robot.track.forget({oldest})
-    for key in [key for key in site.edges if oldest in key[:2]]:
-        site.unlink(key)
-    site.similarities = {v: like for v, like in site.similarities.items() if oldest not in v}
-    for record in site.pairs.values():
-        record.untried = _without(oldest, record.untried)
-        record.tried = _without(oldest, record.tried)
-        record.searched = _without(oldest, record.searched)
+    site.forget_keyframe(oldest)
 
 
 def _spare(site: Site, robot: Robot) -> list[ViewName]:
@@ -317,10 +304,3 @@ def _spare(site: Site, robot: Robot) -> list[ViewName]:
         return anybodys[root] != 1, -own[root]
 
     return sorted(keyframes, key=worth)
-
-
-V = TypeVar("V")
-
-
-def _without(view: ViewName, by_views: dict[ViewPair, V]) -> dict[ViewPair, V]:
-    return {views: value for views, value in by_views.items() if view not in views}

@@ -6,7 +6,7 @@ another keyframe if the robot came back to it, and becomes a keyframe otherwise.
 with nothing starts a new segment.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -94,6 +94,22 @@ class Track:
             self.newest = here
         self._tried.pop(here.view, None)
         self._fallback.pop(here.view, None)
+
+    def mask(self, masks: Mapping[ViewName, Mask | None]) -> None:
+        """What moves in views, where something does."""
+        self.masks |= {view: mask for view, mask in masks.items() if mask is not None}
+
+    def note_motion(self, now_s: float, told: bool) -> None:
+        """Something moves in its newest view; whether operators know."""
+        self.motion_s, self.motion_told = now_s, told
+
+    def recall_past(self, view: ViewName) -> None:
+        """A view is one of the past: hung, it does not say where the robot is now."""
+        self.past.add(view)
+
+    def place_past(self, view: ViewName) -> None:
+        """A view of the past hangs somewhere."""
+        self.past.discard(view)
 
     def keyframe_near(self, view: ViewName) -> ViewName | None:
         """The keyframe that the views next in time hang on, None if none of that life does."""

@@ -16,12 +16,12 @@ from fleetpose.pose_server.frontend.frames import (
     strayed,
 )
 from fleetpose.pose_server.geometry.se3 import inverse, rotation_angle
-from fleetpose.pose_server.messages.error_matrix import error_of, pair_cells
+from fleetpose.pose_server.messages.error_matrix import CellCache, error_of, pair_cells
 from fleetpose.pose_server.pose_graph.types import NodePose
 from fleetpose.pose_server.questions.facts import questions
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.settings import ServerSettings
-from fleetpose.pose_server.state.robots import Robot
+from fleetpose.pose_server.state.robots import PublishedAt, Robot
 from fleetpose.pose_server.state.site import Site
 from fleetpose.protocol.messages import (
     Alignment,
@@ -53,9 +53,17 @@ class Stamp:
 
 
 def robot_pose(
-    site: Site, robot: Robot, settings: ServerSettings, stamp: Stamp
-) -> RobotPose | None:
-    """The newest pose of a robot, or None while nothing is known but itself."""
+    site: Site,
+    robot: Robot,
+    settings: ServerSettings,
+    stamp: Stamp,
+    errors: tuple[PairError, ...] = (),
+) -> tuple[RobotPose, PublishedAt] | None:
+    """The newest pose of a robot and where that hangs, or None while nothing is known but itself.
+
+    Args:
+        errors: of its pairs.
+    """
     newest = robot.track.newest
     if newest is None or site.solution is None:
         return None
@@ -79,12 +87,10 @@ def robot_pose(
         or why_doubted(site, robot)
         or _why_not(site, settings, node, age_s, T, covariance, kept.median_depth_m)
     )
-    robot.published_node = node
-    jumped = _jumped(site, robot, newest.keyframe, T_fleet_root, component)
+    at = PublishedAt(newest.keyframe, node, T_fleet_root @ node.T_root_camera)
     if age_s > settings.fresh_s:
         covariance = strayed(T, covariance, age_s, site.depth_m)
-    robot.poses_sent += 1
-    return RobotPose(
+    pose = RobotPose(
         robot=robot.name,
         view=newest.view,
         stamp_ns=kept.stamp_ns,
@@ -94,14 +100,15 @@ def robot_pose(
         located=not why_not,
         verdict=node.verdict,
         gauge_revision=site.gauge_revision,
-        jumped=jumped,
+        jumped=_jumped(site, robot, at, component),
         age_s=age_s,
         valid_until_ns=kept.stamp_ns + int(1e9 * settings.fresh_s),
-        errors=_errors(site, robot),
+        errors=errors,
         server_epoch=stamp.epoch,
-        n=robot.poses_sent,
+        n=robot.poses_sent + 1,
         why_not=why_not,
     )
+    return pose, at
 
 
 def why_not_located(site: Site, robot: Robot, settings: ServerSettings, now_s: float) -> str:
@@ -203,37 +210,30 @@ def why_misplaced(
     return ""
 
 
-def _jumped(
-    site: Site, robot: Robot, keyframe: ViewName, T_fleet_root: Floats, component: str
-) -> bool:
+def _jumped(site: Site, robot: Robot, at: PublishedAt, component: str) -> bool:
     """Whether the same keyframe stands elsewhere than when it was published last, or in another
     component.
     """
-    assert site.solution is not None
-    node = site.solution.nodes[keyframe]
-    T = T_fleet_root @ node.T_root_camera
-    before, robot.published_keyframe = robot.published_keyframe, (keyframe, T)
+    before, node = robot.published_at, at.node
     if robot.published is None or before is None:
         return False
     if robot.published.component != component:
         return True
-    if before[0] != keyframe:
+    if before.keyframe != at.keyframe:
         return False
-    shift = float(np.linalg.norm(T[:3, 3] - before[1][:3, 3]))
-    depth = site.views[keyframe].median_depth_m
+    shift = float(np.linalg.norm(at.T_fleet_keyframe[:3, 3] - before.T_fleet_keyframe[:3, 3]))
+    depth = site.views[at.keyframe].median_depth_m
     sigma = 0.0 if node.covariance is None else position_sigma(node.T_root_camera, node.covariance)
     return shift > max(_JUMP_SHARE * depth, _JUMP_SIGMAS * sigma)
 
 
-def _errors(site: Site, robot: Robot) -> tuple[PairError, ...]:
-    """Of its pairs, each its last; made anew only when one of them was aligned."""
-    if robot.errors is None:
-        robot.errors = tuple(
-            PairError(other=other, rmse_m=error_of(last), verdict=last.verdict)
-            for other in site.partners[robot.name]
-            if (last := site.pair(robot.name, other).last) is not None
-        )
-    return robot.errors
+def pair_errors(site: Site, robot: Robot) -> tuple[PairError, ...]:
+    """Of a robot's pairs, each its last."""
+    return tuple(
+        PairError(other=other, rmse_m=error_of(last), verdict=last.verdict)
+        for other in site.partners[robot.name]
+        if (last := site.pair(robot.name, other).last) is not None
+    )
 
 
 def has_moved(site: Site, robot: Robot) -> bool:
@@ -243,9 +243,10 @@ def has_moved(site: Site, robot: Robot) -> bool:
     newest, solution, pose = robot.track.newest, site.solution, robot.published
     if newest is None or solution is None or (node := solution.nodes.get(newest.keyframe)) is None:
         return False
-    before = robot.published_node
-    if before is None or pose is None or pose.gauge_revision != site.gauge_revision:
+    at = robot.published_at
+    if at is None or pose is None or pose.gauge_revision != site.gauge_revision:
         return True
+    before = at.node
     if before is node:
         return False
     if (before.root, before.verdict) != (node.root, node.verdict):
@@ -305,8 +306,10 @@ def _icp_fit(result: PairResult) -> IcpFit | None:
     return None if result.icp is None else IcpFit(**asdict(result.icp))
 
 
-def fleet_state(site: Site, settings: ServerSettings, stamp: Stamp, n: int) -> FleetState:
-    """Everything a late client needs."""
+def fleet_state(
+    site: Site, settings: ServerSettings, stamp: Stamp, n: int, cells: CellCache | None = None
+) -> FleetState:
+    """Everything a late client needs. `cells`: of the states told before."""
     robots = tuple(
         _robot_state(site, robot, settings, stamp.now_s) for _, robot in sorted(site.robots.items())
     )
@@ -318,7 +321,7 @@ def fleet_state(site: Site, settings: ServerSettings, stamp: Stamp, n: int) -> F
         gauge_revision=site.gauge_revision,
         up_assumed=site.gauge is None or site.views[site.gauge].up_camera is None,
         robots=robots,
-        pairs=pair_cells(site, stamp.now_s),
+        pairs=pair_cells(site, stamp.now_s, {} if cells is None else cells),
         questions=questions(site, stamp.now_s),
         events=tuple(site.events),
         pinned=site.pinned(),

@@ -9,12 +9,16 @@ from fleetpose.pose_server.state.site import Site
 from fleetpose.protocol.keys import RobotPair
 from fleetpose.protocol.messages import PairCell, ViewName
 
+CellCache = dict[RobotPair, tuple[object, PairCell]]  # what a cell was made of, and the cell
 _OLD_S = 60.0  # from then on an alignment's age is told to ten seconds
 
 
-def pair_cells(site: Site, now_s: float) -> tuple[PairCell, ...]:
+def pair_cells(site: Site, now_s: float, known: CellCache) -> tuple[PairCell, ...]:
     """Cells of the pairs that were tried or clicked in; which others are known through others the
     poses tell. One is made anew only when it changed, its age by a second.
+
+    Args:
+        known: cells that were made before; the new ones are put there.
     """
     roots = _roots(site)
     names = sorted(
@@ -23,7 +27,7 @@ def pair_cells(site: Site, now_s: float) -> tuple[PairCell, ...]:
     )
     clicks = {pair: len(site.correspondences.of(*pair)) for pair in site.correspondences.pairs()}
     cells = (
-        _cell(site, (a, b), clicks.get((a, b), 0), roots, now_s)
+        _cell(site, (a, b), clicks.get((a, b), 0), roots, now_s, known)
         for k, a in enumerate(names)
         for b in names[k + 1 :]
     )
@@ -31,7 +35,12 @@ def pair_cells(site: Site, now_s: float) -> tuple[PairCell, ...]:
 
 
 def _cell(
-    site: Site, pair: RobotPair, clicks: int, roots: dict[str, ViewName], now_s: float
+    site: Site,
+    pair: RobotPair,
+    clicks: int,
+    roots: dict[str, ViewName],
+    now_s: float,
+    cache: CellCache,
 ) -> PairCell | None:
     record = site.pairs.get(pair)
     last = None if record is None else record.last
@@ -41,7 +50,7 @@ def _cell(
     age_s = 0.0 if record is None or last is None else max(0.0, now_s - record.last_s)
     age_s -= age_s % (1.0 if age_s < _OLD_S else 10.0)
     made_of = (last, clicks, through, age_s)
-    known = site.cells.get(pair)
+    known = cache.get(pair)
     if known is not None and known[0] == made_of:
         return known[1]
     if last is None:
@@ -49,7 +58,7 @@ def _cell(
         cell = PairCell(i=pair[0], j=pair[1], state=state, correspondences=clicks)
     else:
         cell = _tried(pair, last, clicks, age_s)
-    site.cells[pair] = (made_of, cell)
+    cache[pair] = (made_of, cell)
     return cell
 
 

@@ -4,12 +4,17 @@ import logging
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TypedDict, Unpack
 
 from fleetpose.pose_server.correspondences.journal import Journal
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore
+from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.persistence.graph_store import Graph
 from fleetpose.pose_server.pose_graph.types import Edge
 from fleetpose.pose_server.scheduling import pair_queue
+from fleetpose.pose_server.scheduling.settings import Weights
+from fleetpose.pose_server.settings import RecipeName
+from fleetpose.pose_server.state.origins import Anchoring
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.state.views import KeptView, open_view
 from fleetpose.protocol.errors import CodecError
@@ -21,12 +26,22 @@ JOURNAL, GRAPH = "journal.sqlite3", "graph.sqlite3"  # in the server's state fol
 _FULL_POSE = 3
 
 
+class SiteSettings(TypedDict, total=False):
+    """What a site is told by its settings."""
+
+    located_sigma: float
+    located_grave: float
+    recipe: RecipeName
+    icp: IcpMethod
+    weights: Weights
+
+
 def restored_site(
     journal: Journal,
     graph: Graph,
     skip: frozenset[tuple[str, str]] = frozenset(),
     anchor: str | None = None,
-    located_sigma: float = 0.05,
+    **settings: Unpack[SiteSettings],
 ) -> Site:
     """A site as the journal and the graph of an earlier life tell of it.
 
@@ -36,13 +51,13 @@ def restored_site(
     before = journal.noted("anchor") or None
     revision = int(journal.noted("gauge_revision") or 0)
     site = Site(
-        located_sigma=located_sigma,
         correspondences=CorrespondenceStore(journal),
         skip=skip,
         anchor=anchor or before,
         gauge_revision=revision + (anchor is not None and before not in (None, anchor)),
+        anchoring=Anchoring(anchor),
+        **settings,
     )
-    site.anchoring.asked = anchor
     now_s = time.monotonic()
     encoded = {**graph.keyframes, **{stored.name: stored.encoded for stored in journal.views()}}
     views = [view for name, data in encoded.items() if (view := _opened(name, data, now_s))]
@@ -69,11 +84,12 @@ def restore(
         if known and (not edge.operator or _is_confirmed(site, edge)):
             site.link(edge)
             if edge.kind == "pair":
-                site.pair(edge.a.robot, edge.b.robot).tried[edge.a, edge.b] = {"pair"}
-    site.gauge = gauge if gauge is not None and gauge in site.views else None
+                site.pair(edge.a.robot, edge.b.robot).note_tried((edge.a, edge.b), "pair")
+    site.set_gauge(gauge if gauge is not None and gauge in site.views else None)
     for pair in site.correspondences.pairs():
-        site.pair(*pair).clicks_due = True
-    site.dirty = bool(keyframes)
+        site.pair(*pair).make_due("clicks")
+    if keyframes:
+        site.want_solution()
 
 
 def folder_files(state_dir: Path) -> tuple[Path, Path]:

@@ -13,7 +13,6 @@ from fleetpose.pose_server.questions import overlap_prior
 from fleetpose.pose_server.questions.overlap_prior import Attempt, Look
 from fleetpose.pose_server.questions.ranking import PairFacts, rank_questions
 from fleetpose.pose_server.questions.suggestions import with_suggestions
-from fleetpose.pose_server.scheduling.proposals import similarity
 from fleetpose.pose_server.state.pairs import PairRecord, ViewPair
 from fleetpose.pose_server.state.question_feedback import Asked
 from fleetpose.pose_server.state.site import Site
@@ -46,10 +45,11 @@ def questions(site: Site, now_s: float = float("inf")) -> tuple[Question, ...]:
     asked = site.feedback.asked
     another = asked.parts != parts
     if another or (asked.numbers != numbers and now_s >= asked.at_s + _RENEWED_S):
-        asked = site.feedback.asked = Asked(parts, numbers, now_s, _ranked(site, newest))
+        asked = Asked(parts, numbers, now_s, _ranked(site, newest))
+        site.feedback.ask(asked)
     if asked.shown is None or now_s >= asked.shown_s + _RENEWED_S:
         asked = replace(asked, shown=with_suggestions(site, asked.questions), shown_s=now_s)
-        site.feedback.asked = asked
+        site.feedback.ask(asked)
     return asked.shown or ()
 
 
@@ -159,9 +159,9 @@ def _tries(
 
 def _likeness(site: Site, a: ViewName, b: ViewName) -> float:
     """How much two views look alike, compared here only where no alignment says more."""
-    known = site.similarities.get((a, b) if str(a) < str(b) else (b, a))
+    known = site.known_similarity(a, b)
     if known is None and ordered_pair(a.robot, b.robot) in site.skip:
-        known = similarity(site, a, b)
+        known = site.similarity(a, b)
     return _USUAL_LIKENESS if known is None else known
 
 

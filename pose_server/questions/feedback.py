@@ -12,10 +12,7 @@ from fleetpose.protocol.keys import ordered_pair
 from fleetpose.protocol.messages import Answer, Selection
 
 _LOOKED_S = 3.0  # a shorter glance says nothing
-_MOST_CLIENTS = 64
 _NOTHING_M = 1e-3  # a gain below it is none
-_MOST_ANSWERS = 10
-_MOST_LOOKED = 10_000
 
 
 def note_selection(site: Site, selection: Selection, now_s: float) -> None:
@@ -25,17 +22,12 @@ def note_selection(site: Site, selection: Selection, now_s: float) -> None:
     here = _look(site, selection, now_s)
     if before is not None and here is not None and here.keyframes == before.keyframes:
         return
-    site.feedback.looks.pop(client, None)
-    if here is not None:
-        fresh = list(site.feedback.looks.items())[-_MOST_CLIENTS + 1 :]
-        site.feedback.looks = dict([*fresh, (client, here)])
+    site.feedback.turn(client, here)
     if before is None or now_s - before.since_s < _LOOKED_S:
         return
     if len(site.correspondences.of(*before.pair)) > before.correspondences:
         return
-    vain = site.feedback.in_vain
-    if before.keyframes in vain or len(vain) < _MOST_LOOKED:
-        vain[before.keyframes] = vain.get(before.keyframes, 0) + 1
+    site.feedback.note_vain(before.keyframes)
 
 
 def note_clicks(site: Site, outcomes: Sequence[Outcome]) -> None:
@@ -50,9 +42,8 @@ def note_clicks(site: Site, outcomes: Sequence[Outcome]) -> None:
                 continue
             gains = {(q.i, q.j): q.gain for q in site.feedback.asked.questions}
             opened = Open(outcome.pair, gains.get(outcome.pair, 0.0), now)
-            site.feedback.open = opened
-            site.feedback.answers = (*site.feedback.answers, _answer(opened, now))[-_MOST_ANSWERS:]
-        opened.clicks += 1
+            site.feedback.begin(opened, _answer(opened, now))
+        opened.note_click()
 
 
 def note_solved(site: Site) -> None:
@@ -62,10 +53,10 @@ def note_solved(site: Site) -> None:
         return
     record = site.pair(*opened.pair)
     answer = _answer(opened, now, record.told)
-    site.feedback.answers = (*site.feedback.answers[:-1], answer)
+    site.feedback.renew(answer)
     at_work = record.clicks_due or record.running
     if not opened.told and (answer.joined or opened.clicks >= CLICKS_TO_JOIN) and not at_work:
-        opened.told = True
+        opened.tell()
         site.say(answer.text)
 
 

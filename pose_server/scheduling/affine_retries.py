@@ -6,16 +6,12 @@ to a second or two of its time, and most pairs of a large fleet have nothing in 
 pairs of robots that no verified alignment links are tried, the most alike first, a few at a time.
 """
 
-from dataclasses import replace
-
 from fleetpose.pose_server.registration.align import is_settled
-from fleetpose.pose_server.scheduling.proposals import similarity
+from fleetpose.pose_server.state.affine_retries import MOST_WAITING
 from fleetpose.pose_server.state.site import Site
-from fleetpose.pose_server.workers.jobs import Done, Job
+from fleetpose.pose_server.workers.jobs import ClickJob, Done, Job, RetryJob
 from fleetpose.protocol.messages import ViewName
 
-MOST_SETS = 64  # about 250 kB each
-_MOST_WAITING = 200
 _MOST_ASKED = 4
 _TRIES, _ONE_IN = 2, 8  # views of two robots tried again: a few, then one in so many alignments
 
@@ -24,16 +20,13 @@ def note_open(site: Site, done: Done) -> None:
     """Files a result that wide sets may settle."""
     i, j = done.job.i.name, done.job.j.name
     if _is_open(done) and (i, j) not in site.affine_retries.waiting and _may_try(site, i, j):
-        site.affine_retries.waiting[i, j] = done
-        site.affine_retries.tries[i.robot, j.robot] = (
-            site.affine_retries.tries.get((i.robot, j.robot), 0) + 1
-        )
+        site.affine_retries.wait(done)
 
 
 def _is_open(done: Done) -> bool:
     """Whether a result of two robots leaves something to wide sets."""
     job = done.job
-    tried = job.usual is not None or job.wide
+    tried = isinstance(job, RetryJob) or job.affine
     own = job.i.name.robot == job.j.name.robot
     if tried or own or not job.features or job.recipe != "full":
         return False
@@ -43,12 +36,12 @@ def _is_open(done: Done) -> bool:
 def _may_try(site: Site, i: ViewName, j: ViewName) -> bool:
     """Whether two views are worth their robots' time."""
     wide = site.affine_retries
-    if len(wide.waiting) >= _MOST_WAITING or _is_answered(site, i, j):
+    if len(wide.waiting) >= MOST_WAITING or _is_answered(site, i, j):
         return False
     most = _TRIES + site.pair(i.robot, j.robot).alignments // _ONE_IN
     if wide.tries.get((i.robot, j.robot), 0) >= most:
         return False
-    return all(view not in wide.refused and _lives(site, view) for view in (i, j))
+    return all(view not in wide.declined and _lives(site, view) for view in (i, j))
 
 
 def wanted(site: Site) -> list[ViewName]:
@@ -59,22 +52,13 @@ def wanted(site: Site) -> list[ViewName]:
     ranked = sorted(wide.waiting, key=lambda views: -_likeness(site, *views))
     missing = [v for views in ranked for v in views if v not in wide.sets and v not in wide.asked]
     ask = list(dict.fromkeys(missing))[: _MOST_ASKED - len(wide.asked)]
-    wide.asked.update(ask)
+    wide.ask(ask)
     return ask
 
 
 def receive(site: Site, view: ViewName, payload: bytes | None) -> None:
     """A robot has answered: with the view's wide set, or without."""
-    wide = site.affine_retries
-    wide.asked.discard(view)
-    if payload is None:
-        wide.refused[view] = None
-        wide.refused = dict.fromkeys(list(wide.refused)[-_MOST_WAITING:])
-        wide.close(view)
-        return
-    wide.sets[view] = payload
-    while len(wide.sets) > MOST_SETS:
-        wide.sets.popitem(last=False)
+    site.affine_retries.answer(view, payload)
 
 
 def wide_job(site: Site) -> Job | None:
@@ -83,19 +67,20 @@ def wide_job(site: Site) -> Job | None:
     for (i, j), done in list(wide.waiting.items()):
         if i not in wide.sets or j not in wide.sets:
             continue
-        del wide.waiting[i, j]
         record = site.pair(i.robot, j.robot)
-        if i not in site.views or j not in site.views or _is_answered(site, i, j):
+        useless = i not in site.views or j not in site.views or _is_answered(site, i, j)
+        by_clicks = isinstance(done.job, ClickJob)
+        if record.running and not (useless or by_clicks):
             continue
-        if done.job.purpose == "clicks":
-            record.clicks_due = True
+        wide.take((i, j))
+        if by_clicks and not useless:
+            record.make_due("clicks")
+        if by_clicks or useless:
             continue
-        if record.running:
-            wide.waiting[i, j] = done
-            continue
-        record.running = True
+        assert done.result is not None  # it is open
+        record.start()
         site.count("wide_alignments")
-        return replace(done.job, i=site.encoded(i), j=site.encoded(j), starts=(), usual=done.result)
+        return RetryJob(site.encoded(i), site.encoded(j), before=done.result)
     return None
 
 
@@ -110,7 +95,7 @@ def _is_answered(site: Site, i: ViewName, j: ViewName) -> bool:
 
 
 def _likeness(site: Site, i: ViewName, j: ViewName) -> float:
-    return similarity(site, i, j) if i in site.views and j in site.views else 0.0
+    return site.similarity(i, j) if i in site.views and j in site.views else 0.0
 
 
 def _lives(site: Site, view: ViewName) -> bool:

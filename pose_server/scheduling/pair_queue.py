@@ -11,26 +11,22 @@ from fleetpose.pose_server.scheduling.proposals import (
     LEAST_OVERLAP,
     by_poses,
     expected_overlaps,
-    similarity,
     to_compare,
 )
 from fleetpose.pose_server.scheduling.retries import retries_due
 from fleetpose.pose_server.scheduling.settings import Line
-from fleetpose.pose_server.scheduling.weighted_round_robin import Pick
 from fleetpose.pose_server.scheduling.weights import pair_weight
-from fleetpose.pose_server.state.pair_queue import SHARES, PairQueue
+from fleetpose.pose_server.state.pair_queue import SHARES
 from fleetpose.pose_server.state.pairs import PairRecord, ViewPair
 from fleetpose.pose_server.state.robots import Robot
 from fleetpose.pose_server.state.site import Site
 from fleetpose.protocol.keys import RobotPair, ordered_pair
 from fleetpose.protocol.messages import ViewName
 
-_MOST_UNTRIED = 8  # keyframe pairs of two robots that wait at a time
-
 
 def note_keyframe(site: Site, view: ViewName) -> None:
     """A new keyframe will be laid beside the others when the fleet is solved."""
-    site.pair_queue.fresh[view] = None
+    site.pair_queue.note_keyframe(view)
 
 
 def update_priorities(site: Site, now_s: float) -> None:
@@ -40,8 +36,7 @@ def update_priorities(site: Site, now_s: float) -> None:
     queue, solution = site.pair_queue, site.solution
     if solution is None:
         return
-    if queue.roots != (roots := frozenset(solution.components)):
-        queue.roots = roots
+    if queue.see_components(frozenset(solution.components)):
         sharpening = queue.lines["sharpening"]
         for line in queue.lines.values():
             for pair in line.waiting():
@@ -49,20 +44,18 @@ def update_priorities(site: Site, now_s: float) -> None:
                 if any(site.joined(*views) != joined for views in _waiting(site, record)):
                     _think_again(site, record)
                     enqueue(site, pair, now_s)
-    queue.fresh = {view: None for view in queue.fresh if view in site.views}
-    for view in [view for view in queue.fresh if view in solution.nodes]:
-        del queue.fresh[view]
+    for view in queue.take_fresh(site.views, solution.nodes):
         _propose_pairs(site, view, now_s)
 
 
 def compare_some(site: Site, now_s: float, most: int = 10) -> bool:
     """Compares the looks of so many pairs of views; whether any were left to compare."""
     queue, compared = site.pair_queue, 0
-    while queue.to_compare and compared < most:
-        a, b = queue.to_compare.pop()
+    while compared < most and (views := queue.next_to_compare()) is not None:
+        a, b = views
         if a in site.views and b in site.views and not site.joined(a, b):
             compared += 1
-            note_promise(site, a, b, similarity(site, a, b), now_s)
+            note_promise(site, a, b, site.similarity(a, b), now_s)
     return compared > 0
 
 
@@ -75,9 +68,7 @@ def note_promise(site: Site, a: ViewName, b: ViewName, promise: float, now_s: fl
     views = (a, b) if (a.robot, a.seq) < (b.robot, b.seq) else (b, a)
     if views in record.tried:
         return
-    record.untried[views] = promise
-    if len(record.untried) > _MOST_UNTRIED:
-        del record.untried[min(record.untried, key=lambda one: record.untried[one])]
+    record.propose(views, promise)
     enqueue(site, pair, now_s)
 
 
@@ -132,9 +123,8 @@ def pick(site: Site, now_s: float) -> tuple[RobotPair, ViewPair] | None:
             enqueue(site, chosen.key, now_s)
             continue
         views, promise = max(fitting.items(), key=lambda one: one[1])
-        record.untried.pop(views, None)
-        record.retry = None  # what fails once more asks for another
-        _note_pick(queue, kind.key, chosen, promise)
+        record.take(views)
+        queue.note_pick(chosen, _why(kind.key, promise))
         enqueue(site, chosen.key, now_s)
         return chosen.key, views
     return None
@@ -167,7 +157,7 @@ def _propose_pairs(site: Site, view: ViewName, now_s: float) -> None:
     pairs = ((view, other) for other in to_compare(site, view))
     for a, b in pairs:
         if ordered_pair(a.robot, b.robot) not in site.skip:
-            site.pair_queue.to_compare.append((a, b))
+            site.pair_queue.compare_later(a, b)
         else:
             site.pair(a.robot, b.robot)
 
@@ -179,24 +169,16 @@ def _think_again(site: Site, record: PairRecord) -> None:
             continue
         overlap = float(expected_overlaps(site, a, [b])[0])
         if a.robot == b.robot or overlap < LEAST_OVERLAP:
-            del record.untried[a, b]
+            record.withdraw({(a, b)})
         else:
-            record.untried[a, b] = overlap
+            record.propose((a, b), overlap)
     joined = [views for views in record.untried if site.joined(*views)]
-    for views in sorted(joined, key=lambda one: -record.untried[one])[BEST_OF_ROBOT:]:
-        del record.untried[views]
+    record.withdraw(sorted(joined, key=lambda one: -record.untried[one])[BEST_OF_ROBOT:])
 
 
-def _note_pick(queue: PairQueue, line: Line, chosen: Pick[RobotPair], promise: float) -> None:
-    why = {
+def _why(line: Line, promise: float) -> str:
+    return {
         "joining": f"may join two components, its views look alike to {promise:.0%}",
         "unlikely": "its views do not look alike, but nothing joins them yet",
         "sharpening": f"would make the fleet firmer, expected overlap {promise:.0%}",
     }[line]
-    queue.picked = (
-        f"{chosen.key[0]} - {chosen.key[1]}: {why}; waited {chosen.waited_s:.1f} s; "
-        f"weight {chosen.weight:.2g} of {chosen.total:.2g}"
-    )
-    queue.max_wait_s = max(queue.max_wait_s, chosen.waited_s)
-    share = chosen.waited_picks / chosen.most_picks
-    queue.max_wait_share = max(queue.max_wait_share, share)

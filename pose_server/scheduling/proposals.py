@@ -27,14 +27,6 @@ _GRID = 4  # by so many rays in each direction two views are laid on each other
 _WIDE_COSINE = 0.35  # optical axes further apart than 70 deg are not worth trying
 
 
-def similarity(site: Site, a: ViewName, b: ViewName) -> float:
-    """The likeness of two kept keyframes, computed once."""
-    views = (a, b) if str(a) < str(b) else (b, a)
-    if views not in site.similarities:
-        site.similarities[views] = likeness(site.views[a], site.views[b])
-    return site.similarities[views]
-
-
 def candidate_views(site: Site, robot: Robot, view: ViewName) -> list[ViewName]:
     """The robot's keyframes that look most like a view, best first."""
     new = site.views[view]

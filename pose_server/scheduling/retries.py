@@ -25,7 +25,7 @@ def note_stand(robot: Robot, view: KeptView) -> None:
     """Notes since which view a robot stands and sees the same."""
     stood = robot.stood
     if stood is None or not stands_still(stood, view) or something_moved(stood, view):
-        robot.stood = view
+        robot.stand_since(view)
 
 
 def retries_due(site: Site, robot: Robot, now_s: float) -> list[RobotPair]:
@@ -43,7 +43,7 @@ def retries_due(site: Site, robot: Robot, now_s: float) -> list[RobotPair]:
             continue
         promise = _promise(site, *views)
         if promise is not None:
-            record.retry, record.retry_promise = views, promise
+            record.propose_again(views, promise)
             due.append(pair)
     return due
 

@@ -1,6 +1,7 @@
 """Why robots are not believed."""
 
-from dataclasses import dataclass, field
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose
@@ -51,3 +52,28 @@ class Doubts:
 
     standing: dict[str, Doubt] = field(default_factory=dict)
     standstills: dict[str, Standstill] = field(default_factory=dict)
+
+    def doubt(self, robot: str, doubt: Doubt) -> bool:
+        """A robot is not believed; whether that is new: of the same kind only the words change."""
+        known = self.standing.get(robot)
+        if known is not None and known.kind == doubt.kind:
+            self.standing[robot] = replace(known, text=doubt.text)
+            return False
+        self.standing[robot] = doubt
+        return True
+
+    def believe(self, robot: str, kinds: Collection[Kind]) -> bool:
+        """Ends a doubt of one of these kinds; whether there was one."""
+        known = self.standing.get(robot)
+        if known is None or known.kind not in kinds:
+            return False
+        del self.standing[robot]
+        return True
+
+    def stop(self, robot: str, standstill: Standstill) -> None:
+        """A robot's odometry drives on without its pixels."""
+        self.standstills[robot] = standstill
+
+    def move(self, robot: str) -> None:
+        """Pixels and odometry of a robot agree again."""
+        del self.standstills[robot]

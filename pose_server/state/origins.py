@@ -22,3 +22,32 @@ class Anchoring:
     left_s: float | None = None
     waits_s: float | None = None
     missing: str = ""
+
+    def has_left(self, now_s: float, patience_s: float) -> bool:
+        """No robot sees the origin while some see each other; whether that has been so for long."""
+        self.left_s = now_s if self.left_s is None else self.left_s
+        if now_s - self.left_s < patience_s:
+            return False
+        self.left_s = None
+        return True
+
+    def is_seen(self) -> None:
+        """The origin is seen, or nobody sees another robot."""
+        self.left_s = None
+
+    def waits(self, now_s: float) -> float:
+        """The anchor is not there although others are; for how many seconds."""
+        self.waits_s = now_s if self.waits_s is None else self.waits_s
+        return now_s - self.waits_s
+
+    def is_there(self) -> None:
+        """The anchor is there, or nobody is."""
+        self.waits_s, self.missing = None, ""
+
+    def miss(self, text: str) -> None:
+        """What is said of an anchor that nobody has seen."""
+        self.missing = text
+
+    def move(self, left: ViewName, to: ViewName) -> None:
+        """The origin is elsewhere from now on."""
+        self.origins = [view for view in (*self.origins, left) if view != to]

@@ -1,10 +1,11 @@
 """The pairs of robots that wait to be aligned."""
 
 from collections import deque
+from collections.abc import Container
 from dataclasses import dataclass, field
 
 from fleetpose.pose_server.scheduling.settings import Line
-from fleetpose.pose_server.scheduling.weighted_round_robin import WeightedRoundRobin
+from fleetpose.pose_server.scheduling.weighted_round_robin import Pick, WeightedRoundRobin
 from fleetpose.pose_server.state.pairs import ViewPair
 from fleetpose.protocol.keys import RobotPair
 from fleetpose.protocol.messages import ViewName
@@ -43,3 +44,41 @@ class PairQueue:
     def waiting(self) -> int:
         """Pairs of robots in all lines."""
         return sum(map(len, self.lines.values()))
+
+    def note_keyframe(self, view: ViewName) -> None:
+        """A keyframe is to be laid beside the others."""
+        self.fresh[view] = None
+
+    def take_fresh(self, kept: Container[ViewName], solved: Container[ViewName]) -> list[ViewName]:
+        """Takes the keyframes that the solution knows by now; those that are not kept are left
+        out.
+        """
+        self.fresh = {view: None for view in self.fresh if view in kept}
+        taken = [view for view in self.fresh if view in solved]
+        for view in taken:
+            del self.fresh[view]
+        return taken
+
+    def see_components(self, roots: frozenset[ViewName]) -> bool:
+        """Which components there are by their roots; whether others than before."""
+        changed = roots != self.roots
+        self.roots = roots
+        return changed
+
+    def compare_later(self, a: ViewName, b: ViewName) -> None:
+        """The looks of two views are to be compared."""
+        self.to_compare.append((a, b))
+
+    def next_to_compare(self) -> ViewPair | None:
+        """Takes the newest pair of views whose looks are to be compared."""
+        return self.to_compare.pop() if self.to_compare else None
+
+    def note_pick(self, chosen: Pick[RobotPair], why: str) -> None:
+        """A pair was picked, for a reason."""
+        self.picked = (
+            f"{chosen.key[0]} - {chosen.key[1]}: {why}; waited {chosen.waited_s:.1f} s; "
+            f"weight {chosen.weight:.2g} of {chosen.total:.2g}"
+        )
+        self.max_wait_s = max(self.max_wait_s, chosen.waited_s)
+        share = chosen.waited_picks / chosen.most_picks
+        self.max_wait_share = max(self.max_wait_share, share)

@@ -1,6 +1,8 @@
 """What was done between two robots."""
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -8,6 +10,23 @@ from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.protocol.messages import ViewName
 
 ViewPair = tuple[ViewName, ViewName]
+Due = Literal["nothing", "clicks", "search"]
+_MOST_UNTRIED = 8  # keyframe pairs of two robots that wait at a time
+_BY_VERDICT = {"verified": 3, "plausible": 2, "ambiguous": 1, "rejected": 0}
+
+
+@dataclass(frozen=True)
+class PairStatus:
+    """What is done with a pair now, and what is to be done when that has ended.
+
+    Attributes:
+        running: a worker aligns it.
+        due: its clicks changed and were not aligned since; or they were, without asking features
+            again, and nothing sure was found.
+    """
+
+    running: bool = False
+    due: Due = "nothing"
 
 
 @dataclass
@@ -15,14 +34,13 @@ class PairRecord:
     """What was done between two robots (or between segments of one).
 
     Attributes:
+        status: whether it is at work, and what is due.
         untried: what the most promising keyframe pairs promise that were not aligned yet, 0 to 1.
         tried: keyframe pairs aligned, and by which kinds of starts.
         searched: what features gave for keyframe pairs.
         retry: views that are tried again, since the last alignment failed and one of both robots
             sees something else now; retry_promise: as in untried.
         failures: alignments in a row that were rejected, or ended without a result.
-        clicks_due: the operator's set changed and was not aligned since.
-        search_due: it was, but without asking features again, and nothing sure was found.
         heard: which correspondences, by id and revision, the images were asked about last, and
             whether they are believed.
         clicks_grave: probability that the pose of those is gravely off.
@@ -33,15 +51,13 @@ class PairRecord:
         best: by verdict, then inliers: what the pair queue and the questions go by.
     """
 
+    status: PairStatus = PairStatus()
     untried: dict[ViewPair, float] = field(default_factory=dict)
     tried: dict[ViewPair, set[str]] = field(default_factory=dict)
     searched: dict[ViewPair, PairResult] = field(default_factory=dict)
     retry: ViewPair | None = None
     retry_promise: float = 0.0
     failures: int = 0
-    running: bool = False
-    clicks_due: bool = False
-    search_due: bool = False
     heard: dict[tuple[int, int], bool] = field(default_factory=dict)
     clicks_grave: float = 1.0
     told: str = ""
@@ -53,3 +69,103 @@ class PairRecord:
     best: PairResult | None = None
     best_views: ViewPair | None = None
     alignments: int = 0
+
+    @property
+    def running(self) -> bool:
+        """Whether a worker aligns it."""
+        return self.status.running
+
+    @property
+    def clicks_due(self) -> bool:
+        """Whether its clicks changed and were not aligned since."""
+        return self.status.due == "clicks"
+
+    def is_due(self, due: Due) -> bool:
+        """Whether that is the next to be done with it, and nothing is being done."""
+        return not self.running and self.status.due == due
+
+    def make_due(self, due: Due) -> None:
+        """What is to be done next; nothing comes before changed clicks."""
+        self.status = PairStatus(self.running, due)
+
+    def start(self) -> None:
+        """A worker begins to align it."""
+        self.status = PairStatus(True, self.status.due)
+
+    def stop(self, result: PairResult, views: ViewPair, now_s: float) -> None:
+        """A worker has ended, with a result or a failure."""
+        self.status = PairStatus(False, self.status.due)
+        self.alignments += 1
+        self.last, self.last_views, self.last_s = result, views, now_s
+        self.refuted = False
+        self.failures = self.failures + 1 if result.verdict == "rejected" else 0
+
+    def learn(
+        self, result: PairResult, views: ViewPair, kind: str, by_features_alone: bool
+    ) -> None:
+        """Files the result of keyframes: verdict first, then inliers decide whether it is the
+        best.
+        """
+        self.note_tried(views, kind)
+        if by_features_alone:
+            self.searched[views] = result
+        if self.best is None or _worth(result) >= _worth(self.best):
+            self.best, self.best_views = result, views
+
+    def note_tried(self, views: ViewPair, kind: str) -> None:
+        """Two keyframes were aligned, by that kind of starts."""
+        self.tried.setdefault(views, set()).add(kind)
+
+    def propose(self, views: ViewPair, promise: float) -> None:
+        """Two keyframes may be worth aligning; the most promising few wait."""
+        self.untried[views] = promise
+        if len(self.untried) > _MOST_UNTRIED:
+            del self.untried[min(self.untried, key=lambda one: self.untried[one])]
+
+    def withdraw(self, views: Collection[ViewPair]) -> None:
+        """Keyframes that are not worth aligning any more."""
+        self.untried = {at: promise for at, promise in self.untried.items() if at not in views}
+
+    def propose_again(self, views: ViewPair, promise: float) -> None:
+        """Views that are worth another try after a failure."""
+        self.retry, self.retry_promise = views, promise
+
+    def take(self, views: ViewPair) -> None:
+        """Views whose turn it is; what fails once more asks for another."""
+        self.untried.pop(views, None)
+        self.retry = None
+
+    def hear(self, heard: Mapping[tuple[int, int], bool], p_grave: float, told: str) -> bool:
+        """What the images said of the operator's correspondences; whether operators are to be told
+        something new.
+        """
+        new = bool(told) and told != self.told
+        self.heard, self.clicks_grave, self.told = dict(heard), p_grave, told
+        return new
+
+    def contradict(self, told: str) -> bool:
+        """What the solution says against them, if anything; whether that is new."""
+        new = bool(told) and told != self.contradicted
+        self.contradicted = told
+        return new
+
+    def refute(self) -> None:
+        """A solution set a verified edge of the pair aside."""
+        self.refuted = True
+
+    def forget(self, view: ViewName) -> None:
+        """A keyframe is not kept any more."""
+        self.untried = _without(view, self.untried)
+        self.tried = _without(view, self.tried)
+        self.searched = _without(view, self.searched)
+
+
+def _worth(result: PairResult) -> tuple[int, int]:
+    return _BY_VERDICT[result.verdict], result.inliers
+
+
+V = TypeVar("V")
+
+
+def _without(view: ViewName, by_views: dict[ViewPair, V]) -> dict[ViewPair, V]:
+    return {views: value for views, value in by_views.items() if view not in views}

@@ -1,4 +1,4 @@
-"""DepthHistory of questions and answers."""
+"""History of questions and answers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,7 +10,9 @@ from fleetpose.protocol.messages import Answer, Question
 
 Client = tuple[str, str]
 
-
+_MOST_CLIENTS = 64
+_MOST_ANSWERS = 10
+_MOST_LOOKED = 10_000
 _FRUITLESS = 0.2  # of the predicted gain
 
 
@@ -40,6 +42,14 @@ class Open:
     clicks: int = 0
     told: bool = False
 
+    def note_click(self) -> None:
+        """One more."""
+        self.clicks += 1
+
+    def tell(self) -> None:
+        """An event said what they did."""
+        self.told = True
+
 
 @dataclass(frozen=True)
 class Asked:
@@ -58,7 +68,7 @@ class Asked:
 
 @dataclass
 class QuestionFeedback:
-    """DepthHistory of questions and answers.
+    """History of questions and answers.
 
     Attributes:
         looks: what each operator's client shows now.
@@ -87,3 +97,28 @@ class QuestionFeedback:
             and not answer.joined
             and answer.realised < _FRUITLESS * answer.predicted
         )
+
+    def turn(self, client: Client, look: Look | None) -> None:
+        """An operator's client shows another pair, or none."""
+        self.looks.pop(client, None)
+        if look is not None:
+            fresh = list(self.looks.items())[-_MOST_CLIENTS + 1 :]
+            self.looks = dict([*fresh, (client, look)])
+
+    def note_vain(self, keyframes: ViewPair) -> None:
+        """An operator looked at two keyframes without a click."""
+        if keyframes in self.in_vain or len(self.in_vain) < _MOST_LOOKED:
+            self.in_vain[keyframes] = self.in_vain.get(keyframes, 0) + 1
+
+    def begin(self, opened: Open, answer: Answer) -> None:
+        """A pair is clicked in; the effect on the one before is final."""
+        self.open = opened
+        self.answers = (*self.answers, answer)[-_MOST_ANSWERS:]
+
+    def renew(self, answer: Answer) -> None:
+        """What the clicks in the open pair did so far."""
+        self.answers = (*self.answers[:-1], answer)
+
+    def ask(self, asked: Asked) -> None:
+        """The questions are these from now on."""
+        self.asked = asked

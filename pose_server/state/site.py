@@ -16,11 +16,13 @@ from fleetpose.pose_server.frontend.frames import upright
 from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose
 from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.geometry.se3 import compose_covariance, inverse
-from fleetpose.pose_server.pose_graph.types import ClickFactor, Edge, EdgeKey, FleetSolution
+from fleetpose.pose_server.pose_graph.types import Edge, EdgeKey, FleetSolution
 from fleetpose.pose_server.scheduling.settings import Weights
 from fleetpose.pose_server.scheduling.weighted_round_robin import WeightedRoundRobin
 from fleetpose.pose_server.settings import RecipeName
 from fleetpose.pose_server.state.affine_retries import AffineRetries
+from fleetpose.pose_server.state.alarms import Alarms
+from fleetpose.pose_server.state.click_caches import ClickCaches
 from fleetpose.pose_server.state.doubts import Doubts
 from fleetpose.pose_server.state.odometry import Odometers
 from fleetpose.pose_server.state.origins import Anchoring
@@ -28,11 +30,11 @@ from fleetpose.pose_server.state.pair_queue import PairQueue
 from fleetpose.pose_server.state.pairs import PairRecord, ViewPair
 from fleetpose.pose_server.state.question_feedback import QuestionFeedback
 from fleetpose.pose_server.state.robots import Robot
-from fleetpose.pose_server.state.views import KeptView, ViewStore, same_camera
+from fleetpose.pose_server.state.views import KeptView, ViewStore, likeness, same_camera
 from fleetpose.pose_server.workers.jobs import EncodedView
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.keys import RobotPair, ordered_pair
-from fleetpose.protocol.messages import Alarm, PairCell, ViewName
+from fleetpose.protocol.messages import ViewName
 
 Floats = npt.NDArray[np.floating]
 PINNED_S = 60.0  # a client repeats what it holds every few seconds
@@ -72,20 +74,16 @@ class Site:
         repetition: share of pairs that told the last solve of a place that repeats itself.
         touched: robots of pairs that were aligned and not told of since.
         covariances: the solve in which that of a keyframe was made last.
-        cells: of the error matrix as they were told last, and what they were made of.
         depth_m: median over the keyframes.
         held_back: the newest view of each name whose token was not seen yet.
         depths: what pairs say of the robots' depths.
         affine_retries: pairs that wait for affine keypoints.
         feedback: what became of the questions.
         odometers: what robots say of their own motion.
-        factors: of the last solve, by id of the correspondence, and what they were made of.
-        judged: points clicked in two views, the relative pose that they were judged at last, and
-            which of them their pair had refused then.
-        depth_distortions: those of the alarms that say that a robot's depths bend.
+        clicks: what was worked out of the correspondences.
+        alarms: about calibrations and clocks.
         doubts: which robots' poses are not believed, and why.
         anchoring: which origins the fleet has had.
-        alarms_told: robots and kinds of alarms that were an event already.
     """
 
     correspondences: CorrespondenceStore
@@ -111,27 +109,21 @@ class Site:
     repetition: float = 0.0
     partners: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     touched: set[str] = field(default_factory=set)
-    cells: dict[RobotPair, tuple[object, PairCell]] = field(default_factory=dict)
     covariances: dict[ViewName, int] = field(default_factory=dict)
     events: list[str] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     gauge: ViewName | None = None
-    similarities: dict[ViewPair, float] = field(default_factory=dict)
     components: dict[str, str] = field(default_factory=dict)
     lifter: Lifter = field(default_factory=Lifter)
     depths: DepthHistory = field(default_factory=DepthHistory)
     affine_retries: AffineRetries = field(default_factory=AffineRetries)
     feedback: QuestionFeedback = field(default_factory=QuestionFeedback)
     odometers: Odometers = field(default_factory=Odometers)
-    factors: dict[int, tuple[tuple[object, ...], ClickFactor]] = field(default_factory=dict)
-    judged: dict[ViewPair, tuple[list[Floats], Floats, tuple[bool, ...]]] = field(
-        default_factory=dict
-    )
-    alarms: tuple[Alarm, ...] = ()
-    depth_distortions: tuple[Alarm, ...] = ()
-    alarms_told: set[tuple[str, str]] = field(default_factory=set)
+    clicks: ClickCaches = field(default_factory=ClickCaches)
+    alarms: Alarms = field(default_factory=Alarms)
     doubts: Doubts = field(default_factory=Doubts)
     anchoring: Anchoring = field(default_factory=Anchoring)
+    _similarities: dict[ViewPair, float] = field(default_factory=dict)
     _edge_counts: Counter[RobotPair] = field(default_factory=Counter[RobotPair])
 
     def robot(self, name: str) -> Robot:
@@ -161,6 +153,10 @@ class Site:
             raise SiteFullError(f"too many tokens under one name: {MAX_EPOCHS} of '{name}'")
         return robot
 
+    def forget_robot(self, name: str) -> None:
+        """A robot that never showed anything is gone."""
+        del self.robots[name]
+
     def knows(self, pair: RobotPair) -> bool:
         """Whether anything is or was between two robots that are known."""
         return self.correspondences.has(*pair) or (
@@ -185,6 +181,84 @@ class Site:
     def say(self, event: str) -> None:
         """An event that operators see."""
         self.events = [*self.events[-19:], event]
+
+    def want_solution(self) -> None:
+        """Something changed that the next solve is to take in."""
+        self.dirty = True
+
+    def solved(self, solution: FleetSolution) -> None:
+        """Poses are as this solution says."""
+        self.solution, self.dirty = solution, False
+        self.count("solves")
+
+    def set_depth(self, depth_m: float) -> float:
+        """How deep the fleet's views are; returns it."""
+        self.depth_m = depth_m
+        return depth_m
+
+    def set_repetition(self, share: float) -> float:
+        """How much of the place repeats itself; returns it."""
+        self.repetition = share
+        return share
+
+    def set_anchor(self, robot: str | None) -> None:
+        """A robot is the anchor from the next solve on, or none is."""
+        self.anchor = robot
+        self.want_solution()
+
+    def set_gauge(self, view: ViewName | None) -> None:
+        """A keyframe is the origin of the fleet's frame."""
+        self.gauge = view
+
+    def raise_revision(self) -> None:
+        """Poses before and after now do not compare."""
+        self.gauge_revision += 1
+
+    def renew_components(self, now: dict[str, str]) -> dict[str, str]:
+        """The component of each robot; of those that are in another one, where they were."""
+        before, self.components = self.components, now
+        return {
+            name: before[name]
+            for name, component in now.items()
+            if before.get(name, component) != component
+        }
+
+    def take_turns(self, here: set[ViewName], new: set[ViewName], most: int) -> set[ViewName]:
+        """Keyframes whose covariances are made in the next solve: the new ones, and so many of
+        those here of which it is oldest.
+        """
+        asked = {view: at for view, at in self.covariances.items() if view in here}
+        oldest = sorted(here - new, key=lambda view: asked.get(view, -1))[:most]
+        due = new.union(oldest)
+        self.covariances = asked | dict.fromkeys(due, self.counts.get("solves", 0))
+        return due
+
+    def touch(self, *robots: str) -> None:
+        """Something about a robot is to be told anew."""
+        self.touched.update(robots)
+
+    def note_told(self) -> None:
+        """All of that was told."""
+        self.touched.clear()
+
+    def similarity(self, a: ViewName, b: ViewName) -> float:
+        """The likeness of two kept keyframes, computed once."""
+        known = self.known_similarity(a, b)
+        if known is None:
+            known = self._similarities[_in_order(a, b)] = likeness(self.views[a], self.views[b])
+        return known
+
+    def known_similarity(self, a: ViewName, b: ViewName) -> float | None:
+        """The same, if it was computed."""
+        return self._similarities.get(_in_order(a, b))
+
+    def forget_keyframe(self, view: ViewName) -> None:
+        """A keyframe is none any more."""
+        for key in [key for key in self.edges if view in key[:2]]:
+            self.unlink(key)
+        self._similarities = {at: v for at, v in self._similarities.items() if view not in at}
+        for record in self.pairs.values():
+            record.forget(view)
 
     def keyframes(self) -> list[ViewName]:
         """Of all robots."""
@@ -256,6 +330,10 @@ class Site:
         if len(self.held_back) < MAX_HELD_BACK and waiting < MAX_HELD_BACK_BYTES:
             self.held_back[name] = view
 
+    def take_held_back(self, name: str) -> KeptView | None:
+        """The view that waited for a name's token, which is there."""
+        return self.held_back.pop(name, None)
+
     def note_change(self, robot: Robot, view: KeptView) -> None:
         """Tells, a few times, when a robot's calibration changed or its clock went back."""
         before, back_s = robot.camera, 1e-9 * (robot.stamp_ns - view.stamp_ns)
@@ -263,14 +341,13 @@ class Site:
         if before is not None and not same_camera(before, view.camera):
             told.append(f"{robot.name} has another calibration from its view {view.name.seq} on")
             self.depths.forget(robot.name)
-            self.alarms_told = {of for of in self.alarms_told if of[0] != robot.name}
+            self.alarms.forget(robot.name)
         if back_s > 0:
             told.append(f"the clock of {robot.name} went back by {back_s:.1f} s")
         if back_s > LEAST_AHEAD_S:  # it was set: what was noted of it before tells nothing
             self.odometers.clock_went_back(robot.name)
             self.depths.clocks.forget(robot.name)
-        robot.camera, robot.stamp_ns = view.camera, view.stamp_ns
-        robot.changes += len(told)
+        robot.note_camera(view, len(told))
         if robot.changes <= MAX_CHANGES_TOLD:
             for event in told:
                 self.say(event)
@@ -340,3 +417,7 @@ class Site:
         if self.edges.pop(key, None) is not None:
             self._edge_counts[ordered_pair(key[0].robot, key[1].robot)] -= 1
             self.dirty = True
+
+
+def _in_order(a: ViewName, b: ViewName) -> ViewPair:
+    return (a, b) if str(a) < str(b) else (b, a)

@@ -1,7 +1,7 @@
 """Jobs: to align two views, and what became of it."""
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
 
 from fleetpose.pose_server.geometry.features.motion import Mask
 from fleetpose.pose_server.geometry.methods import IcpMethod
@@ -23,7 +23,7 @@ _FOUND = ("verified", "plausible")
 _FOUND_SIGMA = 0.02  # of a pose that features found, as a start; share of the depth
 
 
-Purpose = Literal["clicks", "track", "pair"]
+Kind = Literal["clicks", "track", "pair"]
 
 
 @dataclass(frozen=True)
@@ -48,46 +48,82 @@ class Job:
     """Align two views.
 
     Attributes:
-        purpose: for clicks, to follow one robot's own motion (i is its keyframe), or for a pair of
-            robots.
         i, j: the views.
         starts: poses to begin from, camera j in camera i.
         features: whether to look for a start by features as well.
-        clicks: the operator's correspondences between the two views.
-        usual: what the usual salient points gave, where the wide ones are to be tried now.
-        known: what features gave for these very views: they need not be asked again.
-        urgent: whether an operator waits for it.
         recipe: how pairs are aligned.
         icp: how its clouds are brought together.
+        urgent: whether an operator waits for it.
     """
 
-    purpose: Purpose
+    kind: ClassVar[Kind]
+
     i: EncodedView
     j: EncodedView
     starts: tuple[Start, ...] = ()
     features: bool = True
-    clicks: Clicks | None = None
-    usual: PairResult | None = None
-    known: PairResult | None = None
-    urgent: bool = False
     recipe: RecipeName = "full"
     icp: IcpMethod = "gicp"
+    urgent: bool = False
 
-    def click_sets(self, i: PreparedView, j: PreparedView) -> list[OperatorStart]:
+    @property
+    def views(self) -> tuple[ViewName, ViewName]:
+        """The names of both."""
+        return self.i.name, self.j.name
+
+    @property
+    def affine(self) -> bool:
+        """Whether the affine keypoints of both views are there."""
+        return self.i.wide is not None and self.j.wide is not None
+
+
+@dataclass(frozen=True)
+class TrackJob(Job):
+    """Follow one robot's own motion; i is its keyframe."""
+
+    kind = "track"
+
+
+@dataclass(frozen=True)
+class PairJob(Job):
+    """Align two robots by what their views show."""
+
+    kind = "pair"
+
+
+@dataclass(frozen=True)
+class RetryJob(PairJob):
+    """Align two robots once more, by the affine keypoints of their views.
+
+    Attributes:
+        before: what the usual keypoints gave.
+    """
+
+    before: PairResult = field(kw_only=True)
+
+
+@dataclass(frozen=True)
+class ClickJob(Job):
+    """Align two robots by the operator's correspondences as well.
+
+    Attributes:
+        clicks: these, between the two views.
+        known: what features gave for these very views: they need not be asked again.
+    """
+
+    kind = "clicks"
+
+    clicks: Clicks = field(kw_only=True)
+    known: PairResult | None = None
+
+    def sets(self, i: PreparedView, j: PreparedView) -> list[OperatorStart]:
         """The clicks as far as they agree; one or two take their rotation from what is known of the
         views, by other robots or by features.
         """
-        if self.clicks is None:
-            return []
-        found, others = self.known or self.usual, list(self.starts)
+        found, others = self.known, list(self.starts)
         if found is not None and found.T_i_j is not None and found.verdict in _FOUND:
             others.append(Start("features", found.T_i_j, _FOUND_SIGMA))
         return operator_starts(i, j, self.clicks, others, gravity_between(i, j))
-
-    @property
-    def wide(self) -> bool:
-        """Whether the wide sets of both views are there."""
-        return self.i.wide is not None and self.j.wide is not None
 
 
 @dataclass(frozen=True)

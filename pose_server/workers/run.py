@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from fleetpose.pose_server.frontend.moving_points import without_moving
 from fleetpose.pose_server.registration.prepared_view import PreparedView, prepare_view
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
-from fleetpose.pose_server.workers.jobs import EncodedView, Job
+from fleetpose.pose_server.workers.jobs import EncodedView, Job, TrackJob
 from fleetpose.pose_server.workers.recipes import RECIPES
 from fleetpose.protocol.codec import unpack
 from fleetpose.protocol.errors import CodecError
@@ -39,10 +39,11 @@ _widened: OrderedDict[ViewName, PreparedView] = OrderedDict()
 def run_job(job: Job) -> PairResult:
     """Aligns the two views of a job; runs in a worker."""
     i, j = (without_moving(_view(encoded), encoded.mask) for encoded in (job.i, job.j))
-    if job.purpose == "track":
+    follows = isinstance(job, TrackJob)
+    if follows:
         i, j = i.strongest(TRACK_POINTS), j.strongest(TRACK_POINTS)
     # a robot follows itself by features whatever its pairs are aligned by
-    recipe = RECIPES["full" if job.purpose == "track" else job.recipe]
+    recipe = RECIPES["full" if follows else job.recipe]
     return _finite(recipe.align(job, i, j, lambda: _both_wide(job)))
 
 

@@ -19,7 +19,7 @@ from fleetpose.pose_server.registration.align import align_pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView, prepare_view
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.state.views import KeptView, open_view, something_moved, stands_still
-from fleetpose.pose_server.workers.jobs import Done, EncodedView, Job
+from fleetpose.pose_server.workers.jobs import Done, EncodedView, PairJob, TrackJob
 from fleetpose.protocol.codec import pack
 from fleetpose.protocol.messages import View, ViewName
 from fleetpose.robot_agent.cameras.stereo.matching import StereoMatcher
@@ -65,7 +65,7 @@ def alarms_with(world: RingWorld, shots, rig: StereoRig) -> Site:
         site.robot(name).camera = message.camera
         views[name] = prepare_view(message)
     for a, b in itertools.combinations(views, 2):
-        job = Job("pair", EncodedView(views[a].name, b""), EncodedView(views[b].name, b""))
+        job = PairJob(EncodedView(views[a].name, b""), EncodedView(views[b].name, b""))
         monitor.note_depths(site, Done(job, align_pair(views[a], views[b])))
     monitor.judge_calibrations(site)
     return site
@@ -79,9 +79,9 @@ def test_a_baseline_five_percent_too_long_is_named(world, shots):
     longer = world.rig.T_right_left.copy()
     longer[:3, 3] *= 1.05
     site = alarms_with(world, shots, replace(world.rig, T_right_left=longer))
-    assert [(alarm.robot, alarm.kind) for alarm in site.alarms] == [(WRONG, "scale")]
-    percent = float(site.alarms[0].text.split()[3])
-    assert abs(percent - 5.0) < 1.0 and "too long" in site.alarms[0].text
+    assert [(alarm.robot, alarm.kind) for alarm in site.alarms.standing] == [(WRONG, "scale")]
+    percent = float(site.alarms.standing[0].text.split()[3])
+    assert abs(percent - 5.0) < 1.0 and "too long" in site.alarms.standing[0].text
 
 
 @pytest.mark.parametrize("axis", [1, 2], ids=["sideways", "rolled"])
@@ -89,8 +89,8 @@ def test_a_camera_turned_by_two_degrees_is_named(world, shots, axis):
     turned = world.rig.T_right_left.copy()
     turned[:3] = cv2.Rodrigues(np.radians(2.0) * np.eye(3)[axis])[0] @ turned[:3]
     site = alarms_with(world, shots, replace(world.rig, T_right_left=turned))
-    assert [(alarm.robot, alarm.kind) for alarm in site.alarms] == [(WRONG, "bent")]
-    angle = float(site.alarms[0].text.split("turned by ")[1].split()[0])
+    assert [(alarm.robot, alarm.kind) for alarm in site.alarms.standing] == [(WRONG, "bent")]
+    angle = float(site.alarms.standing[0].text.split("turned by ")[1].split()[0])
     assert angle == pytest.approx(2.0, abs=0.25)
 
 
@@ -162,15 +162,15 @@ def test_depths_that_are_older_than_the_image_are_named(skew_s):
         robot.track.attached[view.name] = KeyframeRelativePose(
             view.name, first.name, np.eye(4), np.eye(6), "verified"
         )
-        job = Job("track", EncodedView(first.name, b""), EncodedView(view.name, b""))
+        job = TrackJob(EncodedView(first.name, b""), EncodedView(view.name, b""))
         monitor.note_time_offset(site, Done(job, result))
         monitor.judge_calibrations(site)
     monitor.judge_calibrations(site)
     if skew_s == 0:
-        assert site.alarms == ()
+        assert site.alarms.standing == ()
         return
-    assert [(alarm.robot, alarm.kind) for alarm in site.alarms] == [("r2", "skew")]
-    words = site.alarms[0].text.split()
+    assert [(alarm.robot, alarm.kind) for alarm in site.alarms.standing] == [("r2", "skew")]
+    words = site.alarms.standing[0].text.split()
     assert float(words[3]) == pytest.approx(200, abs=50) and "older" in words
 
 

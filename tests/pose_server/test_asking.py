@@ -14,7 +14,7 @@ from fleetpose.pose_server.questions.facts import questions
 from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.state.views import open_view
-from fleetpose.pose_server.workers.jobs import Done
+from fleetpose.pose_server.workers.jobs import Done, PairJob
 from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.codec import encoding_of, pack, unpack
 from fleetpose.protocol.messages import FleetState, OperatorUpdate, Selection, View
@@ -142,7 +142,7 @@ def test_the_state_carries_answers_and_questions(scene):
 def test_points_to_confirm_come_with_the_views_that_were_aligned(scene):
     site, _ = scene
     views = [site.encoded(site.robots[name].newest) for name in ("r1", "r2")]
-    job = pipeline.Job("pair", *views, features=False)  # no start leads anywhere
+    job = PairJob(*views, features=False)  # no start leads anywhere
     pipeline.take_result(site, Done(job, run_job(job)), 0.0)
     pipeline.solve(site, 0.0)
     record = site.pair("r1", "r2")

@@ -22,7 +22,7 @@ from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.pose_server.state import site as site_module
 from fleetpose.pose_server.state.site import MAX_EPOCHS, SiteFullError
 from fleetpose.pose_server.state.views import open_view
-from fleetpose.pose_server.workers.jobs import Done, EncodedView, Job
+from fleetpose.pose_server.workers.jobs import Done, EncodedView, PairJob
 from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.clouds import (
     SalientPoints,
@@ -166,9 +166,9 @@ def test_stamps_centuries_off_and_numbers_that_jump_are_published(stamp_ns):
     site = site_of(hostile)
     pipeline.solve(site, 0.0)
     robot = site.robots["r1"]
-    pose = builders.robot_pose(site, robot, ServerSettings(), Stamp(EPOCH, 1.0, 1))
-    assert pose is not None and pack(pose)
-    robot.published = pose
+    found = builders.robot_pose(site, robot, ServerSettings(), Stamp(EPOCH, 1.0, 1))
+    assert found is not None and pack(found[0])
+    robot.publish(*found)
     assert pack(builders.fleet_state(site, ServerSettings(), Stamp(EPOCH, 1.0, 1), 1))
 
 
@@ -181,7 +181,7 @@ def test_an_alignment_that_went_astray_is_no_result(monkeypatch):
     monkeypatch.setattr(recipes, "align_pair", lambda *_: result(T))
     encoded = EncodedView(GOOD.name, pack(GOOD))
     with pytest.raises(CodecError, match="finite"):
-        run_job(Job("pair", encoded, encoded))
+        run_job(PairJob(encoded, encoded))
 
 
 # ---- names without end ---------------------------------------------------------------------------
@@ -238,7 +238,7 @@ def test_a_thousand_tokens_do_not_slow_the_state():
         pipeline.receive_token(site, f"ghost-{k}", EPOCH, True)
     asked = []
     site.correspondences.of = lambda a, b: asked.append((a, b)) or []  # type: ignore[method-assign]
-    pair_cells(site, 0.0)
+    pair_cells(site, 0.0, {})
     assert not asked
 
 

@@ -220,8 +220,8 @@ def site_with(errors: dict[str, object], stereo: bool = True) -> Site:
 
 def test_the_alarm_names_the_robot_the_percentage_and_what_to_do():
     site = site_with({"r3": lambda view: scaled(view, 1.05)})
-    assert [(a.robot, a.kind) for a in site.alarms] == [("r3", "scale")]
-    text = site.alarms[0].text
+    assert [(a.robot, a.kind) for a in site.alarms.standing] == [("r3", "scale")]
+    text = site.alarms.standing[0].text
     assert text.startswith("r3's depths are ") and "too long against 3 partners" in text
     assert abs(float(text.split()[3]) - 5.0) < 1.0 and "calibrate-check" in text
     monitor.judge_calibrations(site)
@@ -232,8 +232,11 @@ def test_a_turned_camera_is_named_with_its_angle():
     angle = np.radians(2.0)
     offset = K[0, 0] * np.tan(angle) / FOCAL_BASELINE
     site = site_with({"r2": lambda view: bent(view, (offset, 0.0, 0.0))})
-    assert [(a.robot, a.kind) for a in site.alarms] == [("r2", "bent")]
-    assert "turned by 2.0 deg" in site.alarms[0].text or "turned by 1.9 deg" in site.alarms[0].text
+    assert [(a.robot, a.kind) for a in site.alarms.standing] == [("r2", "bent")]
+    assert (
+        "turned by 2.0 deg" in site.alarms.standing[0].text
+        or "turned by 1.9 deg" in site.alarms.standing[0].text
+    )
 
 
 def test_right_calibrations_raise_no_alarm_and_a_new_one_clears_it():
@@ -241,4 +244,4 @@ def test_right_calibrations_raise_no_alarm_and_a_new_one_clears_it():
     site = site_with({"r3": lambda view: scaled(view, 1.05)})
     site.depths.forget("r3")
     monitor.judge_calibrations(site)
-    assert not site.alarms
+    assert not site.alarms.standing

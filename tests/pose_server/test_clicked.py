@@ -13,7 +13,7 @@ from fleetpose.pose_server.registration.pair import RATIO, Pair
 from fleetpose.pose_server.registration.prepared_view import prepare_view
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.registration.verdict.hearing import hear
-from fleetpose.pose_server.workers.jobs import EncodedView, Job
+from fleetpose.pose_server.workers.jobs import ClickJob, EncodedView
 from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.codec import pack
 from tests.pose_server.scene import K, descriptors, pair_of_views, turned, view, walls
@@ -166,11 +166,11 @@ def test_clicks_on_what_repeats_break_no_tie_and_one_on_what_exists_once_does():
 def test_the_job_of_a_pair_tells_what_became_of_its_clicks():
     encoded = [EncodedView(message.name, pack(message)) for message in MESSAGES]
     wrong = clicked(RIGHT[:4], RIGHT[:4] + STEP)
-    result = run_job(Job("clicks", *encoded, features=False, clicks=wrong))
+    result = run_job(ClickJob(*encoded, features=False, clicks=wrong))
     assert not result.confirmed and result.hearing is not None
     assert not any(result.hearing.accepted) and result.hearing.told
     again = together(wrong, clicked(RIGHT[2:]))
-    result = run_job(Job("clicks", *encoded, features=False, clicks=again))
+    result = run_job(ClickJob(*encoded, features=False, clicks=again))
     assert result.hearing is not None
     assert result.hearing.accepted == (False,) * 4 + (True,) * 3
 

@@ -9,7 +9,7 @@ import pytest
 from distributed import LocalCluster
 
 from fleetpose.pose_server.workers.dask_pool import ClusterPool
-from fleetpose.pose_server.workers.jobs import Done, EncodedView, Job
+from fleetpose.pose_server.workers.jobs import Done, EncodedView, Job, PairJob
 from fleetpose.pose_server.workers.pools import Engine
 from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.codec import pack
@@ -52,7 +52,7 @@ def jobs(count: int) -> list[Job]:
             one.model_copy(update={"name": one.name.model_copy(update={"seq": seed})})
             for one in views
         )
-        found.append(Job("pair", EncodedView(i.name, pack(i)), EncodedView(j.name, pack(j))))
+        found.append(PairJob(EncodedView(i.name, pack(i)), EncodedView(j.name, pack(j))))
     return found
 
 
@@ -95,7 +95,7 @@ def test_a_damaged_view_fails_its_job_alone(engine):
     pool, done = engine
     (job,) = jobs(1)
     unknown = job.j.name.model_copy(update={"seq": 99})
-    pool.submit(Job("pair", job.i, EncodedView(unknown, b"\xff\x00")))
+    pool.submit(PairJob(job.i, EncodedView(unknown, b"\xff\x00")))
     failed = final(pool, done)
     assert failed.result is None and not failed.worker_died
     assert "CodecError" in failed.error

@@ -73,7 +73,8 @@ def state_of(site: Site, robot: str, now_s: float) -> RobotState:
         pipeline.solve(site, now_s)
     stamp = builders.Stamp("0" * 12, now_s, int(1e9 * now_s))
     for one in site.robots.values():
-        one.published = builders.robot_pose(site, one, SETTINGS, stamp) or one.published
+        if (found := builders.robot_pose(site, one, SETTINGS, stamp)) is not None:
+            one.publish(*found)
     state = builders.fleet_state(site, SETTINGS, stamp, 1)
     return next(one for one in state.robots if one.robot == robot)
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fleetpose.pose_server.workers.jobs import Done, EncodedView, Job
+from fleetpose.pose_server.workers.jobs import Done, EncodedView, Job, PairJob
 from fleetpose.pose_server.workers.pools import MAX_TRIES, Engine, LocalPool
 from fleetpose.protocol.codec import pack
 from fleetpose.protocol.messages import View, ViewName
@@ -45,7 +45,7 @@ def encoded(message: View) -> EncodedView:
 
 def good_job() -> Job:
     i, j = pair_of_views(np.random.default_rng(3), turned(15))
-    return Job("pair", encoded(i), encoded(j))
+    return PairJob(encoded(i), encoded(j))
 
 
 def final(engine: Engine, done: "queue.SimpleQueue[Done]") -> Done:
@@ -87,7 +87,7 @@ def test_the_job_of_a_killed_worker_runs_again(engine):
 def test_a_job_that_kills_its_workers_is_given_up_and_told_and_the_next_one_runs(engine):
     pool, done = engine
     name = ViewName(robot="r1", epoch=EPOCH, seq=0)
-    deadly = Job("pair", EncodedView(name, Deadly()), EncodedView(name, b""))
+    deadly = PairJob(EncodedView(name, Deadly()), EncodedView(name, b""))
     pool.submit(deadly)
     given_up = final(pool, done)
     assert given_up.result is None and given_up.worker_died and given_up.tries == MAX_TRIES
@@ -101,7 +101,7 @@ def test_a_job_that_kills_its_workers_takes_no_other_job_with_it():
     engine = Engine(LocalPool(2), done.put)
     name = ViewName(robot="r1", epoch=EPOCH, seq=0)
     try:
-        engine.submit(Job("pair", EncodedView(name, Deadly()), EncodedView(name, b"")))
+        engine.submit(PairJob(EncodedView(name, Deadly()), EncodedView(name, b"")))
         engine.submit(good_job())
         engine.submit(replace(good_job(), urgent=True))
         ends = [final(engine, done) for _ in range(3)]
@@ -115,7 +115,7 @@ def test_an_urgent_job_has_a_worker_that_no_other_job_takes(engine):
     pool, done = engine
     pool.submit(good_job())
     assert pool.idle == 0 and pool.idle_for_urgent
-    pool.submit(replace(good_job(), purpose="clicks", urgent=True))
+    pool.submit(replace(good_job(), urgent=True))
     assert not pool.idle_for_urgent
     assert {final(pool, done).job.urgent for _ in range(2)} == {False, True}
     assert pool.idle == 1 and pool.idle_for_urgent
@@ -124,7 +124,7 @@ def test_an_urgent_job_has_a_worker_that_no_other_job_takes(engine):
 def test_a_damaged_view_fails_its_job_alone(engine):
     pool, done = engine
     job = good_job()
-    pool.submit(Job("pair", job.i, EncodedView(job.j.name, b"\xff\x00")))
+    pool.submit(PairJob(job.i, EncodedView(job.j.name, b"\xff\x00")))
     failed = final(pool, done)
     assert failed.result is None and not failed.worker_died
     assert "CodecError" in failed.error

@@ -134,8 +134,8 @@ def site_of(*messages: View, skip: frozenset[tuple[str, str]] = frozenset()) -> 
 
 
 def work_off(site: Site, most: int = 20) -> list[str]:
-    """Runs the jobs that come, here instead of in a worker; their purposes."""
-    purposes = []
+    """Runs the jobs that come, here instead of in a worker; their kinds."""
+    kinds = []
     for _ in range(most):
         if site.dirty:
             pipeline.solve(site, 0.0)
@@ -144,10 +144,10 @@ def work_off(site: Site, most: int = 20) -> list[str]:
         job = pipeline.urgent_job(site) or pipeline.next_job(site, 0.0)
         if job is None:
             break
-        purposes.append(job.purpose)
+        kinds.append(job.kind)
         pipeline.take_result(site, Done(job, run_job(job)), 0.0)
     pipeline.solve(site, 0.0)
-    return purposes
+    return kinds
 
 
 def test_two_views_become_one_component():
@@ -200,7 +200,7 @@ def test_a_skipped_pair_waits_for_the_operator_whose_clicks_come_first():
         (outcome,) = pipeline.receive_update(site, click(n, point, T_true))
         assert outcome.accepted, outcome.reason
     job = pipeline.next_job(site, 0.0)
-    assert job is not None and job.purpose == "clicks" and not job.features
+    assert job is not None and job.kind == "clicks" and not job.features
     pipeline.take_result(site, Done(job, run_job(job)), 0.0)
     pipeline.solve(site, 0.0)
     T = site.relative(named(0, "r1"), named(0, "r2"))

@@ -82,8 +82,8 @@ class Two:
         pipeline.judge_correspondences(self.site)
 
     def located(self) -> bool:
-        pose = robot_pose(self.site, self.site.robots["r2"], SETTINGS, STAMP)
-        return pose is not None and pose.located
+        found = robot_pose(self.site, self.site.robots["r2"], SETTINGS, STAMP)
+        return found is not None and found[0].located
 
     def statuses(self) -> list[str]:
         return [kept.item.status for kept in self.site.correspondences.of("r1", "r2")]
@@ -91,7 +91,8 @@ class Two:
 
 def state(site):
     for robot in site.robots.values():
-        robot.published = robot_pose(site, robot, SETTINGS, STAMP)
+        if (found := robot_pose(site, robot, SETTINGS, STAMP)) is not None:
+            robot.publish(*found)
     return fleet_state(site, SETTINGS, STAMP, 1)
 
 

@@ -8,6 +8,7 @@ from fleetpose.pose_server.frontend.frames import position_sigma
 from fleetpose.pose_server.messages import builders
 from fleetpose.pose_server.persistence.restore import restore
 from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.pose_server.state.pairs import PairStatus
 from fleetpose.pose_server.state.site import MAX_HELD_BACK, PINNED_S, Site
 from fleetpose.pose_server.workers.jobs import Done
 from fleetpose.pose_server.workers.run import run_job
@@ -186,7 +187,9 @@ def told(site: Site, now_s: float):
         pipeline.solve(site, 0.0)
     stamp = builders.Stamp("0" * 12, now_s, int(1e9 * now_s))
     for robot in site.robots.values():
-        robot.published = robot.published or builders.robot_pose(site, robot, SETTINGS, stamp)
+        found = builders.robot_pose(site, robot, SETTINGS, stamp)
+        if robot.published is None and found is not None:
+            robot.publish(*found)
     state = builders.fleet_state(site, SETTINGS, stamp, 1)
     return next(robot for robot in state.robots if robot.robot == "r2")
 
@@ -227,12 +230,12 @@ def test_clicks_have_a_worker_of_their_own_and_a_flood_of_them_takes_none_from_t
     for n, point in enumerate(points, 1):
         pipeline.receive_update(site, click(n, point, T_true))
     for seq in range(1, 4):
-        site.pair("r1", "r2").clicks_due, site.pair("r1", "r2").running = True, False
+        site.pair("r1", "r2").status = PairStatus(due="clicks")
         site.robots["r1"].waiting, site.robots["r1"].tracking = named(seq, "r1"), None
         site.views.keep(kept(both[0].model_copy(update={"name": named(seq, "r1")})))
         urgent, other = pipeline.urgent_job(site), pipeline.next_job(site, 0.0)
-        assert urgent is not None and (urgent.purpose, urgent.urgent) == ("clicks", True)
-        assert other is not None and (other.purpose, other.urgent) == ("track", False)
-    site.pair("r1", "r2").clicks_due, site.pair("r1", "r2").running = True, False
+        assert urgent is not None and (urgent.kind, urgent.urgent) == ("clicks", True)
+        assert other is not None and (other.kind, other.urgent) == ("track", False)
+    site.pair("r1", "r2").status = PairStatus(due="clicks")
     left = pipeline.next_job(site, 0.0)
-    assert left is not None and left.purpose == "clicks"  # where robots wait for nothing
+    assert left is not None and left.kind == "clicks"  # where robots wait for nothing

@@ -18,7 +18,7 @@ from fleetpose.pose_server.registration.pair import RATIO, Pair
 from fleetpose.pose_server.registration.prepared_view import prepare_view
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.state.site import Site
-from fleetpose.pose_server.workers.jobs import Done, Job
+from fleetpose.pose_server.workers.jobs import Done, PairJob, TrackJob
 from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.codec import pack
 from fleetpose.protocol.messages import View
@@ -110,11 +110,11 @@ def test_the_server_keeps_a_mask_as_long_as_its_view_and_workers_get_it():
         site.views.keep(kept(message))
         newest_arrived(site, robot, site.views[message.name])
     assert site.encoded(first.name).mask is None
-    job = Job("track", site.views[first.name].encoded, site.views[second.name].encoded)
+    job = TrackJob(site.views[first.name].encoded, site.views[second.name].encoded)
     followed(site, Done(job, run_job(job)))
     encoded = site.encoded(first.name)
     assert encoded.mask is not None and encoded.payload == pack(first)
-    both = run_job(Job("pair", encoded, site.encoded(second.name)))
+    both = run_job(PairJob(encoded, site.encoded(second.name)))
     assert both.verdict == "verified"
     robot.track.forget({first.name, second.name})
     assert not robot.track.masks

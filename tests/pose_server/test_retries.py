@@ -40,7 +40,7 @@ class Two:
         while compare_some(self.site, now_s):
             pass
         while (job := pipeline.next_job(self.site, now_s)) is not None:
-            if job.purpose == "pair":
+            if job.kind == "pair":
                 return job
             pipeline.take_result(self.site, Done(job, run_job(job)), now_s)
         return None
@@ -132,7 +132,7 @@ def test_a_view_that_is_gone_before_its_turn_is_not_tried(two):
     failed_once(two)
     two.move(1, 1.0, REST_S)
     job = pipeline.next_job(two.site, REST_S)
-    assert job is not None and job.purpose == "track"
+    assert job is not None and job.kind == "track"
     pipeline.take_result(two.site, Done(job, run_job(job)), REST_S)
     assert two.site.pair("r1", "r2").retry == (named(1, "r1"), named(0, "r2"))
     two.site.views._views.pop(named(1, "r1"))  # as if it had waited for a minute

@@ -22,7 +22,7 @@ from fleetpose.pose_server.pose_graph.types import EdgeJudgement
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.pose_server.state.site import Site
-from fleetpose.pose_server.workers.jobs import Done
+from fleetpose.pose_server.workers.jobs import Done, PairJob
 from fleetpose.protocol.codec import unpack
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import RelativePose, RobotPose, ViewName, WhyNot
@@ -54,13 +54,13 @@ def aligned(site: Site, result: PairResult | None, now_s: float, error: str = ""
     """The two robots were aligned once more."""
     record = site.pair("r1", "r2")
     i, j = (site.encoded(view) for view in JOB_VIEWS)
-    job = pipeline.Job("pair", i, j)
-    record.running = True
+    job = PairJob(i, j)
+    record.start()
     pipeline.take_result(site, Done(job, result, error), now_s)
 
 
 def cell_of(site: Site, now_s: float):
-    (cell,) = pair_cells(site, now_s)
+    (cell,) = pair_cells(site, now_s, {})
     return cell
 
 
@@ -98,7 +98,7 @@ def test_whatever_was_tried_before_the_last_try_alone_is_shown_with_its_age(two,
         now_s += pause
         aligned(two, result, now_s, "no worker")
     cell, last = cell_of(two, now_s + 7.5), tried[-1][0]
-    (error,) = builders._errors(two, two.robots["r1"])
+    (error,) = builders.pair_errors(two, two.robots["r1"])
     assert cell.state == "tried" and cell.age_s == 7.0
     assert (error.other, error.rmse_m, error.verdict) == ("r2", cell.rmse_m, cell.verdict)
     if last is None:
@@ -136,7 +136,8 @@ def STAMP(now_s: float) -> builders.Stamp:
 
 def published(site: Site, now_s: float) -> Site:
     for robot in site.robots.values():
-        robot.published = builders.robot_pose(site, robot, SETTINGS, STAMP(now_s))
+        if (found := builders.robot_pose(site, robot, SETTINGS, STAMP(now_s))) is not None:
+            robot.publish(*found)
     return site
 
 

@@ -119,5 +119,5 @@ def test_a_pair_with_new_correspondences_is_next_and_weighs_more_from_then_on():
     assert before is not None and after is not None
     assert after.weight == pytest.approx(before.weight * (1.0 + Weights.clicks / 3))
     job = pipeline.urgent_job(site)
-    assert job is not None and job.purpose == "clicks"
+    assert job is not None and job.kind == "clicks"
     assert {job.i.name.robot, job.j.name.robot} == set(PAIR)

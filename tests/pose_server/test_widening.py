@@ -5,6 +5,7 @@ import pytest
 
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.scheduling import affine_retries, pair_queue
+from fleetpose.pose_server.state.affine_retries import MOST_SETS
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.workers.jobs import Done
 from fleetpose.pose_server.workers.run import run_job
@@ -84,6 +85,6 @@ def test_views_that_never_align_are_not_tried_for_ever(site, wide):
 
 
 def test_sets_are_bounded(site, wide):
-    for seq in range(affine_retries.MOST_SETS + 10):
+    for seq in range(MOST_SETS + 10):
         affine_retries.receive(site, named(seq, "r1"), wide[0])
-    assert len(site.affine_retries.sets) == affine_retries.MOST_SETS
+    assert len(site.affine_retries.sets) == MOST_SETS

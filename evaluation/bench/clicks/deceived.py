@@ -222,7 +222,7 @@ def _server(task: Task) -> tuple[FleetServer, tuple[str, str]]:
     server = FleetServer(wires, results)
     if not task.automatic:
         server.site.skip = frozenset({names})
-        server.site.anchor = names[0]
+        server.site.set_anchor(names[0])
     return server, names
 
 

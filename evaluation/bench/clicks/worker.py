@@ -201,15 +201,15 @@ def with_wide(view: "EncodedView", wire: Path) -> "EncodedView":
 def as_job(wire_i: Path, wire_j: Path, at_i: Lifted, at_j: Lifted) -> "Job":
     """The job that the server makes of a pair of views and the clicks in them."""
     from fleetpose.pose_server.registration.operator_starts import Clicks
-    from fleetpose.pose_server.workers.jobs import Job
+    from fleetpose.pose_server.workers.jobs import ClickJob, PairJob
 
     i, j = encoded(wire_i), encoded(wire_j)
     if len(at_i.p) == 0:
-        return Job("pair", i, j)
+        return PairJob(i, j)
     uv_i, uv_j = (_pixels(wire, at.p) for wire, at in ((wire_i, at_i), (wire_j, at_j)))
     sigma_i, sigma_j = (np.sqrt(at.C[:, 2, 2]) for at in (at_i, at_j))
     clicks = Clicks(uv_i, uv_j, at_i.p[:, 2], at_j.p[:, 2], sigma_i, sigma_j)
-    return Job("clicks", i, j, clicks=clicks)
+    return ClickJob(i, j, clicks=clicks)
 
 
 def encoded(wire: Path) -> "EncodedView":
@@ -226,10 +226,10 @@ def _pixels(wire: Path, points: Floats) -> Floats:
 @lru_cache(maxsize=8)
 def _prepare(wire_i: Path, wire_j: Path) -> None:
     """Has two views prepared in this worker: the time of an alignment is then that of the pair."""
-    from fleetpose.pose_server.workers.jobs import Job
+    from fleetpose.pose_server.workers.jobs import PairJob
     from fleetpose.pose_server.workers.run import run_job
 
-    run_job(Job("pair", encoded(wire_i), encoded(wire_j)))
+    run_job(PairJob(encoded(wire_i), encoded(wire_j)))
 
 
 @lru_cache(maxsize=8)

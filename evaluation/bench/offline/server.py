@@ -106,9 +106,10 @@ class OfflineServer:
         stamp = Stamp(SESSION, 0.0, 0)
         poses: dict[str, RobotPose] = {}
         for name, robot in self.site.robots.items():
-            pose = robot_pose(self.site, robot, self.settings, stamp)
-            if pose is not None:
-                robot.published = poses[name] = pose
+            found = robot_pose(self.site, robot, self.settings, stamp)
+            if found is not None:
+                robot.publish(*found)
+                poses[name] = found[0]
         return poses
 
     def why_not(self, robot: str) -> str:
@@ -125,7 +126,8 @@ class OfflineServer:
 
     def solve(self) -> None:
         """Solves the fleet, and judges what depends on that."""
-        self.site.dirty = self.site.dirty or self.site.solution is None
+        if self.site.solution is None:
+            self.site.want_solution()
         while self.site.dirty:  # choosing an anchor makes it dirty once more
             pipeline.solve(self.site, self._now_s)
         pipeline.note_components(self.site)

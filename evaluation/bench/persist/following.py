@@ -124,12 +124,12 @@ def _by_clicks(run: Run) -> Floats | None:
 
 def _motions(walk: Walk) -> list[Floats | None]:
     """T_before_now of each view, by aligning it with the one before; none where that fails."""
-    from fleetpose.pose_server.workers.jobs import Job
+    from fleetpose.pose_server.workers.jobs import TrackJob
     from fleetpose.pose_server.workers.run import run_job
 
     motions: list[Floats | None] = [None]
     for before, now in zip(walk.wires, walk.wires[1:], strict=False):
-        motions.append(_accepted_pose(run_job(Job("track", encoded(before), encoded(now)))))
+        motions.append(_accepted_pose(run_job(TrackJob(encoded(before), encoded(now)))))
     return motions
 
 
@@ -147,10 +147,10 @@ def _starts(carried: Floats | None) -> tuple["Start", ...]:
 
 
 def _aligned(run: Run, k: int, starts: Sequence["Start"]) -> tuple["PairResult", float]:
-    from fleetpose.pose_server.workers.jobs import Job
+    from fleetpose.pose_server.workers.jobs import PairJob
     from fleetpose.pose_server.workers.run import run_job
 
-    job = Job("pair", encoded(run.a.wires[k]), encoded(run.b.wires[k]), tuple(starts))
+    job = PairJob(encoded(run.a.wires[k]), encoded(run.b.wires[k]), tuple(starts))
     return timed(lambda: run_job(job))
 
 

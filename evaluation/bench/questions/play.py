@@ -153,13 +153,13 @@ def aligned(wire_i: Path, wire_j: Path) -> "PairResult":
     if file.exists():
         return pickle.loads(file.read_bytes())
     from fleetpose.pose_server.registration.align import is_settled
-    from fleetpose.pose_server.workers.jobs import Job
+    from fleetpose.pose_server.workers.jobs import PairJob, RetryJob
     from fleetpose.pose_server.workers.run import run_job
 
     i, j = kept(wire_i).encoded, kept(wire_j).encoded
-    result = run_job(Job("pair", i, j))
+    result = run_job(PairJob(i, j))
     if not is_settled(result):
-        result = run_job(Job("pair", with_wide(i, wire_i), with_wide(j, wire_j), usual=result))
+        result = run_job(RetryJob(with_wide(i, wire_i), with_wide(j, wire_j), before=result))
     mine = file.with_suffix(f".{np.random.default_rng().integers(2**60)}")
     mine.write_bytes(pickle.dumps(result))
     mine.replace(file)

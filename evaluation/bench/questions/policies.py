@@ -33,7 +33,7 @@ def by_largest_error(
     threshold_m = default_threshold_m(server.site.depth_m)
     shown = {
         (cell.i, cell.j): cell.rmse_m or 0.0
-        for cell in pair_cells(server.site, 0.0)
+        for cell in pair_cells(server.site, 0.0, {})
         if is_shown(cell, threshold_m)
     }
     return max(shown, key=lambda pair: (-visits[pair], shown[pair]), default=None)

@@ -10,7 +10,7 @@ from fleetpose.evaluation.bench.offline.server import SESSION, OfflineServer
 from fleetpose.evaluation.bench.pairs.worker import of_wide
 from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.pose_server import pipeline
-from fleetpose.pose_server.workers.jobs import Done, Job
+from fleetpose.pose_server.workers.jobs import Done, PairJob
 from fleetpose.protocol.keys import ordered_pair
 from fleetpose.protocol.messages import OperatorUpdate, Selection
 
@@ -41,7 +41,7 @@ class FleetServer(OfflineServer):
                 self.site.affine_retries.sets[name] = of_wide(wire).read_bytes()
         for (a, b), result in results.items():
             i, j = self.view(a), self.view(b)
-            job = Job("pair", self.site.encoded(i), self.site.encoded(j))
+            job = PairJob(self.site.encoded(i), self.site.encoded(j))
             pipeline.take_result(self.site, Done(job, result), 0.0)
         for record in self.site.pairs.values():
             record.untried.clear()
@@ -77,7 +77,7 @@ class FleetServer(OfflineServer):
         self._select(None)
         while (job := self._next_job()) is not None:
             self._do(job)
-        self.site.dirty = True
+        self.site.want_solution()
         self.solve()
 
     def _select(self, pair: RobotPair | None) -> None:
