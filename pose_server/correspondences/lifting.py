@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
-from fleetpose.pose_server.geometry.lift import NEIGHBOURS, LiftedPoint, lift_pixel
+from fleetpose.pose_server.geometry.lift import LIFT, LiftedPoint, lift_pixel
 from fleetpose.pose_server.registration.prepared_view import point_noise
 from fleetpose.pose_server.state.views import KeptView
 from fleetpose.protocol.clouds import (
@@ -55,7 +55,11 @@ class _Grid:
         top, left = max(row - _WINDOW, 0), max(column - _WINDOW, 0)
         uv, z = self._points(top, left, row + _WINDOW + 1, column + _WINDOW + 1)
         inside = np.linalg.norm(uv - pixel, axis=1) <= _WINDOW * self.scale
-        return (uv, z) if np.count_nonzero(inside) >= NEIGHBOURS else self._points(0, 0, None, None)
+        return (
+            (uv, z)
+            if np.count_nonzero(inside) >= LIFT.neighbours
+            else self._points(0, 0, None, None)
+        )
 
     def _points(
         self, top: int, left: int, bottom: int | None, right: int | None

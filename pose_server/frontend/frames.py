@@ -16,7 +16,7 @@ from fleetpose.pose_server.geometry.se3 import (
     make_pose,
     position_covariance,
 )
-from fleetpose.pose_server.registration.pair import GRAVE_POSITION
+from fleetpose.pose_server.registration.pair import PAIR
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 
 Floats = npt.NDArray[np.floating]
@@ -67,12 +67,12 @@ def grave_by_noise(sigma: float) -> float:
     """Probability that a position known to sigma, share of the median depth, is gravely off though
     all that it rests on is right.
     """
-    return math.erfc(GRAVE_POSITION / (math.sqrt(2.0) * max(sigma, 1e-9)))
+    return math.erfc(PAIR.grave_position / (math.sqrt(2.0) * max(sigma, 1e-9)))
 
 
 def sigma_by_grave(p_grave: float) -> float:
     """The sigma, share of the median depth, at which `grave_by_noise` is so much."""
-    return GRAVE_POSITION / NormalDist().inv_cdf(1.0 - p_grave / 2)
+    return PAIR.grave_position / NormalDist().inv_cdf(1.0 - p_grave / 2)
 
 
 def upright(up: Floats) -> Floats:

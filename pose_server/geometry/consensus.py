@@ -19,16 +19,27 @@ from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.noise import chi2_limit
 from fleetpose.pose_server.geometry.point_pairs import PointPairs
 from fleetpose.pose_server.geometry.spread import check_points, dimension, need_dimension
+from fleetpose.pose_server.geometry.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Bools = npt.NDArray[np.bool_]
 
-OUTLIER_CHI2 = 16.3  # 3 dof, 99.9 %
-_CONTRADICTION = 1e-4  # share of right sets that are more at odds with themselves
-_ALL_SETS_UP_TO = 130  # explanations; beyond, they grow from drawn triples
-_DRAWN_TRIPLES = 40  # a fifth of them wrong: half of all triples are right
-_ALL_TRIPLES_UP_TO = 84  # of nine: six wrong ones and three right ones are told apart
-_MAY_BE_RIGHT = 2  # left out: with one more by chance among the others they may be right instead
+OUTLIER_CHI2 = 16.3  # derived: chi-square of 3 dof, 99.9 %
+
+
+@dataclass(frozen=True)
+class ConsensusSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    contradiction: float = 0.0001  # share of right sets that are more at odds with themselves
+
+
+CONSENSUS = in_use("consensus", ConsensusSettings())
+
+_ALL_SETS_UP_TO = 130  # numerical: explanations; beyond, they grow from drawn triples
+_DRAWN_TRIPLES = 40  # derived: a fifth of clicks wrong, half of all triples are right
+_ALL_TRIPLES_UP_TO = 84  # derived: all triples of nine clicks
+_MAY_BE_RIGHT = 2  # derived: left out, with one more by chance they may be right instead
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +205,7 @@ def _best_explanation(pairs: PointPairs, price: float) -> tuple[Floats, Floats, 
 def _contradiction(distance2: Floats) -> str:
     """Whether the residuals of the pose's own points are too large by chance."""
     dof, total = 3 * len(distance2) - 6, float(distance2.sum())
-    limit = chi2_limit(_CONTRADICTION, dof)
+    limit = chi2_limit(CONSENSUS.contradiction, dof)
     if total <= limit:
         return ""
     return (

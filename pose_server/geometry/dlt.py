@@ -21,16 +21,27 @@ import numpy.typing as npt
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.se3 import make_pose, nearest_rotation, transform
 from fleetpose.pose_server.geometry.spread import check_points, dimension, need_dimension
+from fleetpose.pose_server.geometry.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Model = Literal["translation", "rigid", "similarity", "affine", "projective"]
 
 # The design matrix has rank 15 where it determines a projective map: its 15th singular value must
 # exceed this share of the first.
-_PROJECTIVE_RANK = 1e-3
-_MIRRORED = 3.0  # a mirror image fits so many times better than any rotation
-_UNITS = 2.5  # scales beyond it, either way, are another unit: 3.3 feet, 39 inches, 1000 mm
-_SCALE_SPREAD = 1.5  # of one scale: nine tenths of all distances over the median, at most
+_PROJECTIVE_RANK = 1e-3  # numerical: smallest over largest singular value
+
+
+@dataclass(frozen=True)
+class DltSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    mirrored: float = 3.0  # a mirror image fits so many times better than any rotation
+    # scales beyond it, either way, are another unit: 3.3 feet, 39 inches, 1000 mm
+    units: float = 2.5
+    scale_spread: float = 1.5  # of one scale: nine tenths of all distances over the median, at most
+
+
+DLT = in_use("dlt", DltSettings())
 
 
 @dataclass(frozen=True)
@@ -211,7 +222,10 @@ def scale_between(p_a: Floats, p_b: Floats) -> float:
     ratios = of_a[told] / of_b[told]
     scale = float(np.median(ratios))
     low, high = np.quantile(ratios, (0.1, 0.9))
-    if max(scale, 1 / scale) > _UNITS and high < _SCALE_SPREAD * scale < _SCALE_SPREAD**2 * low:
+    if (
+        max(scale, 1 / scale) > DLT.units
+        and high < DLT.scale_spread * scale < DLT.scale_spread**2 * low
+    ):
         raise DegenerateGeometryError(
             f"distances are {scale:.4g} times as long in one frame as in the other: are both in "
             "metres?"
@@ -254,7 +268,7 @@ def _refuse_mirror_image(p_a: Floats, p_b: Floats) -> None:
         return
     mirrored = max(float((a**2).sum() + (b**2).sum() - 2 * d.sum()), 0.0)
     rotated = mirrored + 4 * float(d[2])
-    if rotated > _MIRRORED**2 * mirrored:
+    if rotated > DLT.mirrored**2 * mirrored:
         n = len(a)
         raise _FatalError(
             f"one frame is the mirror image of the other: residual {np.sqrt(rotated / n):.3g} m by "

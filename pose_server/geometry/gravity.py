@@ -14,7 +14,7 @@ from fleetpose.pose_server.geometry.spread import RANK_TOLERANCE, check_points
 
 Floats = npt.NDArray[np.floating]
 
-_UNIT_TOLERANCE = 1e-3
+_UNIT_TOLERANCE = 1e-3  # numerical: rounding of a unit vector on the wire
 
 
 @dataclass(frozen=True, eq=False)

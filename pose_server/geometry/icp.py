@@ -12,13 +12,24 @@ import small_gicp
 from fleetpose.pose_server.geometry.errors import MissingLibraryError
 from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.geometry.se3 import adjoint, inverse, transform
+from fleetpose.pose_server.geometry.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 
-_ITERATIONS = 100  # of point to point, which needs many
-_NORMAL_NEIGHBOURS = 12  # of a point, which its plane is fitted to
-_SETTLED = 0.03  # a step of less than this share of the resolution ends the search
-_FLATNESS = 2e-3  # m^2: small_gicp takes every point for a disc of 1e-3 m^2 across it, both clouds
+_ITERATIONS = 100  # numerical: of point to point, which needs many
+
+
+@dataclass(frozen=True)
+class IcpSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    normal_neighbours: int = 12  # of a point, which its plane is fitted to
+
+
+ICP = in_use("icp", IcpSettings())
+
+_SETTLED = 0.03  # numerical: a step of less of the resolution ends the search
+_FLATNESS = 2e-3  # derived: m^2, small_gicp's discs of 1e-3 m^2 of both clouds
 
 
 @dataclass(frozen=True)
@@ -138,7 +149,7 @@ def by_open3d(
     )
     how = registration.TransformationEstimationPointToPoint()
     if method == "point_to_plane":
-        i.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(_NORMAL_NEIGHBOURS))
+        i.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(ICP.normal_neighbours))
         how = registration.TransformationEstimationPointToPlane()
     until = registration.ICPConvergenceCriteria(max_iteration=_ITERATIONS)
     found = registration.registration_icp(j, i, radius_m, T_i_j, how, until)

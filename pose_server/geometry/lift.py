@@ -9,15 +9,25 @@ import numpy.typing as npt
 
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.noise import PointNoise, covariances
+from fleetpose.pose_server.geometry.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 
-CLICK_SIGMA_PX = 1.5  # of a person's click, in either image
-NEIGHBOURS = 12  # that a point is lifted from, at most
-_SAME_SURFACE = 0.03  # relative difference of inverse depth on one surface
-_REACH = 3.0  # radii within which neighbours count
-_UNKNOWN_PER_PX = 0.002  # share of the depth that a surface may leave its plane, per pixel of gap
-_KNOWN_WITHIN_PX = 0.75  # nearer than this a point is as good as under the click
+
+@dataclass(frozen=True)
+class LiftSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    click_sigma_px: float = 1.5  # of a person's click, in either image
+    neighbours: int = 12  # that a point is lifted from, at most
+    same_surface: float = 0.03  # relative difference of inverse depth on one surface
+    reach: float = 3.0  # radii within which neighbours count
+    # share of the depth that a surface may leave its plane, per pixel of gap
+    unknown_per_px: float = 0.002
+    known_within_px: float = 0.75  # nearer than this a point is as good as under the click
+
+
+LIFT = in_use("lift", LiftSettings())
 
 
 @dataclass(frozen=True)
@@ -66,30 +76,30 @@ def lift_pixel(
     if len(z) == 0:
         raise DegenerateGeometryError("no depth anywhere in this view")
     distance = np.linalg.norm(uv - pixel, axis=1)
-    count = min(NEIGHBOURS, len(z))
+    count = min(LIFT.neighbours, len(z))
     near = np.argpartition(distance, count - 1)[:count]
     near = near[np.argsort(distance[near])]
     if distance[near[0]] > radius_px:
         raise DegenerateGeometryError(
             f"no depth here, nearest usable point is {distance[near[0]]:.0f} px away"
         )
-    near = near[distance[near] < _REACH * radius_px]
-    q, weight = 1.0 / z[near], 1.0 / (distance[near] ** 2 + CLICK_SIGMA_PX**2)
+    near = near[distance[near] < LIFT.reach * radius_px]
+    q, weight = 1.0 / z[near], 1.0 / (distance[near] ** 2 + LIFT.click_sigma_px**2)
     own = _loudest_surface(q, weight)
     level, slope = _plane_at(uv[near[own]] - pixel, q[own])
     depth = 1.0 / level
     p = depth * np.linalg.inv(K) @ np.array([pixel[0], pixel[1], 1.0])
-    gap_px = max(0.0, float(distance[near[own]][0]) - _KNOWN_WITHIN_PX)
+    gap_px = max(0.0, float(distance[near[own]][0]) - LIFT.known_within_px)
     other2 = float(weight[~own] @ (z[near[~own]] - depth) ** 2) / float(weight.sum())
     sigma = float(
         np.sqrt(
             noise.depth_sigma(np.array(depth)) ** 2
-            + (_UNKNOWN_PER_PX * depth * gap_px) ** 2
-            + (CLICK_SIGMA_PX * slope * depth**2) ** 2
+            + (LIFT.unknown_per_px * depth * gap_px) ** 2
+            + (LIFT.click_sigma_px * slope * depth**2) ** 2
             + other2
         )
     )
-    C = covariances(p[None], float(K[0, 0]), CLICK_SIGMA_PX, np.array([sigma]))[0]
+    C = covariances(p[None], float(K[0, 0]), LIFT.click_sigma_px, np.array([sigma]))[0]
     return LiftedPoint(p, C, sigma)
 
 
@@ -97,7 +107,7 @@ def _loudest_surface(q: Floats, weight: Floats) -> npt.NDArray[np.bool_]:
     """Which neighbours lie on the surface with the largest weight, told apart by inverse depth
     (N,); of equals, that of the nearest. A lone wrong depth under the click is so outvoted.
     """
-    alike = np.abs(q[:, None] - q) < _SAME_SURFACE * q
+    alike = np.abs(q[:, None] - q) < LIFT.same_surface * q
     return alike[:, int(np.argmax(weight @ alike))]
 
 
@@ -110,6 +120,6 @@ def _plane_at(offset: Floats, q: Floats) -> tuple[float, float]:
     A = (X * weight[:, None]).T @ X + np.diag([1e-9, 2.0, 2.0])
     middle = float(np.median(q))
     plane = np.linalg.solve(A, (X * weight[:, None]).T @ (q - middle))
-    limit = _SAME_SURFACE * middle
+    limit = LIFT.same_surface * middle
     level = middle + float(np.clip(plane[0], -limit, limit))
     return level, float(np.hypot(plane[1], plane[2]))

@@ -16,10 +16,10 @@ from fleetpose.pose_server.geometry.se3 import hat, retract, transform
 
 Floats = npt.NDArray[np.floating]
 
-_ITERATIONS = 10
-_SETTLED_SIGMAS = 1e-3  # a step this small against the pose's own sigma ends the search
-_LONGEST_TURN_RAD = 0.5  # of one step: the linearisation holds no further
-_RANK = 1e-12  # of the normal matrix, with lengths in units of the points' distance
+_ITERATIONS = 10  # numerical: of one fit
+_SETTLED_SIGMAS = 1e-3  # numerical: a step this small against the pose's sigma ends it
+_LONGEST_TURN_RAD = 0.5  # numerical: of one step, the linearisation holds no further
+_RANK = 1e-12  # numerical: of the normal matrix, in units of the points' distance
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 Floats = npt.NDArray[np.floating]
 
 # A direction counts as spanned when its share of the largest one exceeds this.
-RANK_TOLERANCE = 0.02
-_COINCIDENT = 1e-12  # extent over distance from the origin: below it, rounding is all there is
+RANK_TOLERANCE = 0.02  # numerical: a smaller share is noise
+_COINCIDENT = 1e-12  # numerical: extent over distance, below it all is rounding
 _SHAPES = ("coincide", "lie on one line", "lie in one plane")
 _ORDINALS = ("first", "second", "third")
 

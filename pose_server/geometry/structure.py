@@ -10,11 +10,20 @@ import numpy as np
 import numpy.typing as npt
 
 from fleetpose.pose_server.geometry.se3 import transform
+from fleetpose.pose_server.geometry.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 
-_REACH_SIGMAS = 2.0  # of a set of points to each side, along any direction
-_LEAST_SHARE = 1e-3  # of the distance: thinner than that no set of measured points is
+
+@dataclass(frozen=True)
+class StructureSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    reach_sigmas: float = 2.0  # of a set of points to each side, along any direction
+    least_share: float = 0.001  # of the distance: thinner than that no set of measured points is
+
+
+STRUCTURE = in_use("structure", StructureSettings())
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +41,7 @@ class Structure:
             return cls(np.full(3, np.nan), np.eye(3))
         centre = points.mean(axis=0)
         off = points - centre
-        thin = _LEAST_SHARE * float(np.linalg.norm(centre))
+        thin = STRUCTURE.least_share * float(np.linalg.norm(centre))
         return cls(centre, off.T @ off / len(points) + thin**2 * np.eye(3))
 
     def seen_from(self, T_other_here: Floats) -> "Structure":
@@ -53,4 +62,4 @@ class Structure:
         own = np.sqrt(np.einsum("ni,ij,nj->n", across, self.spread, across))
         others = np.sqrt(np.einsum("ni,nij,nj->n", across, spreads, across))
         gap = np.abs((across * between).sum(axis=1))
-        return (gap > _REACH_SIGMAS * (own + others)) & (gap > 0.0)
+        return (gap > STRUCTURE.reach_sigmas * (own + others)) & (gap > 0.0)

@@ -6,14 +6,15 @@ matters.
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from fleetpose.pose_server.geometry.methods import IcpMethod
+from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.diagnostics import with_byproducts, with_suggestions
-from fleetpose.pose_server.registration.pair import RATIO, WIDE_RATIO, Pair
+from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 from fleetpose.pose_server.registration.refinement import (
     Candidate,
@@ -32,11 +33,25 @@ from fleetpose.pose_server.registration.verdict.evaluate import PairResult, cont
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
-_USUAL_POSES, _WIDE_POSES = 2, 4  # that are refined, of those found by features
-_STRONG_INLIERS = 60
-_STRONG_SIGMA, _WEAK_SIGMA = 0.0055, 0.011  # share of the depth
-_SETTLED_INLIERS, _SETTLED_SIGMA = 25, 0.0127
-_TRUST = {"verified": 3, "plausible": 2, "ambiguous": 1, "rejected": 0}
+
+@dataclass(frozen=True)
+class AlignSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    usual_poses: int = 2  # poses found by features that are refined
+    wide_poses: int = 4  # the same by affine keypoints
+    # matches from which on a start of the robot's own needs no features beside it
+    strong_inliers: int = 60
+    strong_sigma: float = 0.0055  # position sigma up to which that is so, share of the depth
+    # position sigma from which on a result is worth affine keypoints, share of the depth
+    weak_sigma: float = 0.011
+    settled_inliers: int = 25  # matches from which on affine keypoints add nothing
+    settled_sigma: float = 0.0127  # position sigma up to which that is so, share of the depth
+
+
+ALIGN = in_use("align", AlignSettings())
+
+_TRUST = {"verified": 3, "plausible": 2, "ambiguous": 1, "rejected": 0}  # an order
 
 
 def align_pair(
@@ -56,7 +71,7 @@ def align_pair(
         icp: how clouds are brought together.
     """
     began = time.perf_counter()
-    pair = Pair(i, j, RATIO)
+    pair = Pair(i, j, PAIR.ratio)
     if not pair.looks:
         return align_surfaces(pair, starts, features, icp)
     matched = time.perf_counter()
@@ -65,7 +80,7 @@ def align_pair(
         candidates += from_start(pair, start)
     result = _judge_best(pair, candidates, icp) if candidates else None
     if features and (result is None or not _is_strong(result)):
-        more = from_poses(pair, pair.ratio, "features", _USUAL_POSES)
+        more = from_poses(pair, pair.ratio, "features", ALIGN.usual_poses)
         candidates += more
         result = _judge_best(pair, candidates, icp) if more else result
     if result is None:
@@ -98,9 +113,9 @@ def align_wide(
         icp: how clouds are brought together.
     """
     began = time.perf_counter()
-    pair = Pair(i, j, WIDE_RATIO)
+    pair = Pair(i, j, PAIR.wide_ratio)
     candidates = [one for start in starts for one in from_start(pair, start)]
-    candidates += from_poses(pair, pair.ratio, "wide", _WIDE_POSES)
+    candidates += from_poses(pair, pair.ratio, "wide", ALIGN.wide_poses)
     if usual.T_i_j is not None:
         candidates.append(Candidate(pair, usual.start, usual.T_i_j))
     result = _judge_best(pair, candidates, icp) if candidates else usual
@@ -130,7 +145,7 @@ def align_from(
         icp: how clouds are brought together.
     """
     began = time.perf_counter()
-    pair = Pair(i, j, RATIO)
+    pair = Pair(i, j, PAIR.ratio)
     if not pair.looks:
         found = align_surfaces(pair, starts, False, icp)
         return known if _TRUST[found.verdict] < _TRUST[known.verdict] else found
@@ -154,8 +169,8 @@ def is_settled(result: PairResult) -> bool:
     return (
         e is not None
         and result.verdict == "verified"
-        and e.inliers >= _SETTLED_INLIERS
-        and e.position_sigma < _SETTLED_SIGMA
+        and e.inliers >= ALIGN.settled_inliers
+        and e.position_sigma < ALIGN.settled_sigma
     )
 
 
@@ -176,7 +191,7 @@ def _finished(
 def _needs_icp(result: PairResult) -> bool:
     """Whether the pose is about right, but the features leave it weak."""
     e = result.evidence
-    return e is not None and (result.verdict != "verified" or e.position_sigma > _WEAK_SIGMA)
+    return e is not None and (result.verdict != "verified" or e.position_sigma > ALIGN.weak_sigma)
 
 
 def _judge_best(pair: Pair, candidates: Sequence[Candidate], icp: IcpMethod) -> PairResult:
@@ -193,8 +208,8 @@ def _is_strong(result: PairResult) -> bool:
     return (
         e is not None
         and result.verdict == "verified"
-        and e.inliers >= _STRONG_INLIERS
-        and e.position_sigma < _STRONG_SIGMA
+        and e.inliers >= ALIGN.strong_inliers
+        and e.position_sigma < ALIGN.strong_sigma
     )
 
 

@@ -8,7 +8,7 @@ and named.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from fleetpose.pose_server.geometry.consensus import OUTLIER_CHI2
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
+from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.operator_starts import (
     BY_CLICKS,
     FULL_POSE,
@@ -26,7 +27,7 @@ from fleetpose.pose_server.registration.operator_starts import (
     operator_starts,
     starts_from_clicks,
 )
-from fleetpose.pose_server.registration.pair import RATIO, Pair
+from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 from fleetpose.pose_server.registration.refinement import from_start
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
@@ -36,13 +37,23 @@ from fleetpose.pose_server.registration.verdict.unique import on_unique_structur
 Floats = npt.NDArray[np.floating]
 Bools = npt.NDArray[np.bool_]
 
-# That a pose which clicks determine is gravely off: one set of agreeing clicks in twenty may be all
-# wrong. Images are for one wrong pose in ten at most (1 : 9 for it); where they could be for it and
-# are not, it is wrong twice as often; where there is nothing in them, the operator's word stands.
-P_SUPPORTED, P_UNSUPPORTED, P_BLANK = 0.006, 0.1, 0.01
-_P_GRAVE = {"for": P_SUPPORTED, "nothing": P_UNSUPPORTED, "blank": P_BLANK}
-_RANK = {"for": 2, "blank": 1, "nothing": 1, "against": 0}
-_MUCH_BETTER = 2.0  # found as large a share again: the images fit another pose
+
+@dataclass(frozen=True)
+class ClickedSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    # probability of a grave error of clicks that images support: they are for one wrong pose in
+    # ten at most
+    p_supported: float = 0.006
+    p_unsupported: float = 0.1  # of clicks that images could support and do not
+    # of clicks where there is nothing in the images: the operator's word stands
+    p_blank: float = 0.01
+    much_better: float = 2.0  # found as large a share again: the images fit another pose
+
+
+CLICKED = in_use("clicked", ClickedSettings())
+
+_RANK = {"for": 2, "blank": 1, "nothing": 1, "against": 0}  # an order
 
 
 def with_clicks(
@@ -78,7 +89,7 @@ def _with_clicks(
         agreeing = [one for one in full if _back(one, result.T_i_j)]
         if agreeing:
             return _confirmed(result, agreeing[0])
-    pair = Pair(i, j, RATIO)
+    pair = Pair(i, j, PAIR.ratio)
     heard = [(one, _heard(pair, one, result)) for one in full]
     best, said = max(heard, key=lambda both: _weight(*both))
     if result.verdict == "verified" and not _as_good(pair, said, result):
@@ -135,7 +146,7 @@ def _weight(one: OperatorStart, said: Heard) -> tuple[float, ...]:
 def _confirmed(result: PairResult, one: OperatorStart) -> PairResult:
     """A verified pose that clicks agree with."""
     assert result.T_i_j is not None
-    hearing = Hearing(_agreeing(one, result.T_i_j), min(result.p_grave, P_SUPPORTED))
+    hearing = Hearing(_agreeing(one, result.T_i_j), min(result.p_grave, CLICKED.p_supported))
     return replace(result, confirmed=True, grown=result.start in BY_CLICKS, hearing=hearing)
 
 
@@ -153,7 +164,7 @@ def _as_good(pair: Pair, said: Heard, result: PairResult) -> bool:
     """
     if said.says != "for" or result.T_i_j is None:
         return False
-    return said.share > hear(pair, result.T_i_j).share / _MUCH_BETTER
+    return said.share > hear(pair, result.T_i_j).share / CLICKED.much_better
 
 
 def _outdone(result: PairResult, best: OperatorStart, pair: Pair) -> PairResult:
@@ -167,12 +178,18 @@ def _outdone(result: PairResult, best: OperatorStart, pair: Pair) -> PairResult:
     return replace(result, confirmed=False, grown=False, hearing=hearing)
 
 
+def _p_grave(said: Heard) -> float:
+    if said.says == "for":
+        return CLICKED.p_supported
+    return CLICKED.p_blank if said.says == "blank" else CLICKED.p_unsupported
+
+
 def _believed(result: PairResult, best: OperatorStart, said: Heard, pair: Pair) -> PairResult:
     """The clicks make the pose plausible that the images like best of those they agree with: their
     own, or what features made of it. Either is as sure as the clicks are.
     """
     by_features = said.T_i_j is result.T_i_j
-    p_grave = _P_GRAVE[said.says]
+    p_grave = _p_grave(said)
     told = ""
     if said.says != "for":
         told = (
@@ -233,9 +250,9 @@ def _has_a_rival(pair: Pair, result: PairResult, best: OperatorStart, said: Hear
         return False
     other = hear(pair, result.T_i_j)
     if result.verdict == "verified":
-        better = said.share < _MUCH_BETTER * other.share
+        better = said.share < CLICKED.much_better * other.share
     else:
-        better = said.says != "for" or other.share > _MUCH_BETTER * said.share
+        better = said.says != "for" or other.share > CLICKED.much_better * said.share
     return other.says == "for" and better
 
 

@@ -3,7 +3,7 @@ and which points an operator might confirm; of two views of one robot, what move
 and image are of one moment.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ from fleetpose.pose_server.calibration.depth_comparison import DepthErrors, comp
 from fleetpose.pose_server.calibration.depth_shift import DepthShift, depth_shift
 from fleetpose.pose_server.frontend.moving_points import moving_masks
 from fleetpose.pose_server.geometry.se3 import inverse, transform
+from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 from fleetpose.pose_server.registration.suggested_points import suggested
@@ -20,9 +21,17 @@ from fleetpose.pose_server.registration.verdict.fitted_model import MODEL
 from fleetpose.pose_server.registration.verdict.grave_probability import contrast
 from fleetpose.pose_server.registration.verdict.mirrored import REASON, is_mirrored
 
-_LACKING = -1.0  # sigmas: what explains less than most right poses may be a mirror image
-_FAR = 0.5  # median depth over depth
-_AT_PLACE = 0.012  # share of the focal length: matches that are where the pose says
+
+@dataclass(frozen=True)
+class DiagnosticsSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    lacking: float = -1.0  # sigmas: what explains less than most right poses may be a mirror image
+    far: float = 0.5  # median depth over depth
+    at_place: float = 0.012  # share of the focal length: matches that are where the pose says
+
+
+DIAGNOSTICS = in_use("diagnostics", DiagnosticsSettings())
 
 
 def with_byproducts(pair: Pair, result: PairResult) -> PairResult:
@@ -37,7 +46,11 @@ def with_byproducts(pair: Pair, result: PairResult) -> PairResult:
 def with_mirror(pair: Pair, result: PairResult) -> PairResult:
     """The result, refused where the views fit far better if one of them is mirrored."""
     e = result.evidence
-    if e is not None and result.verdict == "verified" and contrast(MODEL, e)[:2].min() > _LACKING:
+    if (
+        e is not None
+        and result.verdict == "verified"
+        and contrast(MODEL, e)[:2].min() > DIAGNOSTICS.lacking
+    ):
         return result
     if not is_mirrored(pair, 0 if e is None else e.ratio_inliers):
         return result
@@ -76,7 +89,7 @@ def shift_of(pair: Pair, result: PairResult) -> DepthShift | None:
     at_i, at_j = pair.ratio.T
     seen, z = j.project(transform(inverse(result.T_i_j), i.points[at_i]))
     off_px = np.linalg.norm(seen - j.uv[at_j], axis=1)
-    good = (z > 0) & (off_px < _AT_PLACE * j.focal_px)
+    good = (z > 0) & (off_px < DIAGNOSTICS.at_place * j.focal_px)
     relative = i.inverse_depth_sigma[at_i] / i.inverse_depth[at_i]
     surface = pair.j.surface
     uv, expected = j.uv[at_j[good]], 1.0 / z[good]
@@ -87,4 +100,4 @@ def _near(view: PreparedView, points: npt.NDArray[np.int64]) -> npt.NDArray[np.b
     """Which points are not far behind what the view mostly sees: a stereo camera hardly measures
     them, and on a horizon things often look like others of another size.
     """
-    return view.observed.inverse_depth[points] * view.median_depth_m > _FAR
+    return view.observed.inverse_depth[points] * view.median_depth_m > DIAGNOSTICS.far

@@ -17,11 +17,12 @@ from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.features.refine import NoiseScale, Refinement, refine
 from fleetpose.pose_server.geometry.gravity import Gravity, pose_by_gravity
-from fleetpose.pose_server.geometry.lift import CLICK_SIGMA_PX
+from fleetpose.pose_server.geometry.lift import LIFT
 from fleetpose.pose_server.geometry.noise import covariances
 from fleetpose.pose_server.geometry.point_pairs import PointPairs
 from fleetpose.pose_server.geometry.se3 import position_covariance
 from fleetpose.pose_server.geometry.spread import check_points, dimension
+from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 from fleetpose.pose_server.registration.refinement import Start
 from fleetpose.pose_server.registration.verdict.hearing import ByClicks
@@ -30,10 +31,19 @@ Floats = npt.NDArray[np.floating]
 
 OPERATOR, LINEAR = "operator", "dlt"  # kinds of starts
 BY_CLICKS = frozenset((OPERATOR, LINEAR))
-FULL_POSE = 3  # correspondences that determine a pose
-_MOST_STARTS = 5  # each costs a refinement, and somebody waits
-_TRANSLATION_SIGMA = 0.03  # of a start whose rotation comes from elsewhere, at least
-_UNTURNED_SIGMA = 0.1  # of one whose rotation nobody knows
+FULL_POSE = 3  # derived: correspondences that determine a pose
+
+
+@dataclass(frozen=True)
+class OperatorStartsSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    most_starts: int = 5  # each costs a refinement, and somebody waits
+    translation_sigma: float = 0.03  # of a start whose rotation comes from elsewhere, at least
+    unturned_sigma: float = 0.1  # of one whose rotation nobody knows
+
+
+OPERATOR_STARTS = in_use("operator_starts", OperatorStartsSettings())
 
 
 @dataclass(frozen=True)
@@ -126,7 +136,7 @@ def starts_from_clicks(
         agreed = consistent_sets(pairs)
     except DegenerateGeometryError as error:
         return [_smaller_start(i, j, pairs, others, gravity, error)]
-    return [_full_start(i, j, clicks, pairs, one) for one in agreed[:_MOST_STARTS]]
+    return [_full_start(i, j, clicks, pairs, one) for one in agreed[: OPERATOR_STARTS.most_starts]]
 
 
 def _full_start(
@@ -182,9 +192,9 @@ def _smaller_start(
             return OperatorStart(start, linear, covariance, everyone, "upright", pairs, str(why))
     known = min(others, key=lambda start: start.sigma, default=None)
     if known is not None:
-        R, sigma = known.T_i_j[:3, :3], max(known.sigma, _TRANSLATION_SIGMA)
+        R, sigma = known.T_i_j[:3, :3], max(known.sigma, OPERATOR_STARTS.translation_sigma)
     else:
-        R, sigma = np.eye(3) if gravity is None else gravity.level(), _UNTURNED_SIGMA
+        R, sigma = np.eye(3) if gravity is None else gravity.level(), OPERATOR_STARTS.unturned_sigma
     T = dlt.translation(pairs.p_a, pairs.p_b, R)
     return OperatorStart(
         Start(OPERATOR, T, sigma), T, None, everyone, "translation", pairs, str(why)
@@ -226,13 +236,15 @@ def point_pairs(i: PreparedView, j: PreparedView, clicks: Clicks) -> PointPairs:
         (j, clicks.uv_j, clicks.z_j, clicks.sigma_j),
     ):
         p = _observed(view, uv, z, sigma).points
-        sides.append((p, covariances(p, view.observed.focal_px, CLICK_SIGMA_PX, sigma)))
+        sides.append((p, covariances(p, view.observed.focal_px, LIFT.click_sigma_px, sigma)))
     (p_i, C_i), (p_j, C_j) = sides
     return PointPairs(p_i, p_j, C_i, C_j)
 
 
 def _observed(view: PreparedView, uv: Floats, z: Floats, sigma: Floats) -> Observed:
-    return Observed(view.observed.K, view.observed.size, uv, 1.0 / z, sigma / z**2, CLICK_SIGMA_PX)
+    return Observed(
+        view.observed.K, view.observed.size, uv, 1.0 / z, sigma / z**2, LIFT.click_sigma_px
+    )
 
 
 def _sigma(i: PreparedView, j: PreparedView, T: Floats, covariance: Floats) -> float:

@@ -1,5 +1,6 @@
 """Two views side by side: matches between them, and how well a pose explains both."""
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -17,19 +18,31 @@ from fleetpose.pose_server.geometry.features.matching import (
 )
 from fleetpose.pose_server.geometry.features.refine import NoiseScale, Refinement, refine
 from fleetpose.pose_server.geometry.se3 import inverse, rotation_angle
+from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
-RATIO = 0.9
-WIDE_RATIO = 0.95  # of wide sets: with tilted copies the second best is often the same place
-_SAME_POSE = 0.02  # share of the depth, and radians
-GRAVE_POSITION, GRAVE_ROTATION_RAD = 0.05, 0.087  # share of the depth; 5 deg
-_COMMON_NOISE = NoiseScale(1.0, 1.2)  # candidates are compared at the same noise
-OWN_NOISE = NoiseScale(1.0, 1.5)  # of cameras that are what they state
-EXACT_SIGMAS = 2.5  # across the epipolar line: a wider one is found by chance around any place
-_SCORED_RADIUS = 0.006  # share of the depth
+
+@dataclass(frozen=True)
+class PairSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    ratio: float = 0.9  # distance of the best descriptor over that of the second best
+    # of wide sets: with tilted copies the second best is often the same place
+    wide_ratio: float = 0.95
+    same_pose: float = 0.02  # share of the depth, and radians
+    grave_position: float = 0.05  # error of a grave pose, share of the depth
+    grave_rotation_rad: float = 0.087  # error of a grave pose, radians: 5 deg
+    common_noise: NoiseScale = NoiseScale(1.0, 1.2)  # candidates are compared at the same noise
+    own_noise: NoiseScale = NoiseScale(1.0, 1.5)  # of cameras that are what they state
+    # across the epipolar line: a wider one is found by chance around any place
+    exact_sigmas: float = 2.5
+    scored_radius: float = 0.006  # share of the depth
+
+
+PAIR = in_use("pair", PairSettings())
 
 
 class Pair:
@@ -115,12 +128,12 @@ class Pair:
 
     def same_pose(self, a: Floats, b: Floats) -> bool:
         """Whether two poses are one: a start from either leads to the same place."""
-        return max(self.apart(a, b)) < _SAME_POSE
+        return max(self.apart(a, b)) < PAIR.same_pose
 
     def gravely_apart(self, a: Floats, b: Floats) -> bool:
         """Whether one of two poses must be gravely off: nearer ones are no rivals."""
         shift, turn_rad = self.apart(a, b)
-        return shift > GRAVE_POSITION or turn_rad > GRAVE_ROTATION_RAD
+        return shift > PAIR.grave_position or turn_rad > PAIR.grave_rotation_rad
 
     def apart(self, a: Floats, b: Floats) -> tuple[float, float]:
         """Distance of two poses' positions as a share of the depth, and the angle between them."""
@@ -134,10 +147,12 @@ class Pair:
         if len(matches) < 3:
             return NO_MATCHES
         try:
-            scored = self.scored(T, matches, OWN_NOISE)
+            scored = self.scored(T, matches, PAIR.own_noise)
         except DegenerateGeometryError:
             return NO_MATCHES
-        return matches[scored.inliers & (np.abs(scored.across_px) < EXACT_SIGMAS * self.pixel_px)]
+        return matches[
+            scored.inliers & (np.abs(scored.across_px) < PAIR.exact_sigmas * self.pixel_px)
+        ]
 
     @property
     def pixel_px(self) -> float:
@@ -146,7 +161,7 @@ class Pair:
 
     def support(self, T: Floats, matches: Indices) -> float:
         """How many matches agree with a pose, at a noise level that is the same for all poses."""
-        return self.scored(T, matches, _COMMON_NOISE).support if len(matches) >= 3 else 0.0
+        return self.scored(T, matches, PAIR.common_noise).support if len(matches) >= 3 else 0.0
 
     def agreement(self, T: Floats) -> Agreement:
         return agreement(self.i.surface, self.j.surface, T)
@@ -158,7 +173,7 @@ class Pair:
         Matches are those by descriptor alone and those around the pose's own predictions: only the
         right pose has many of these to the pixel.
         """
-        matches = union(self.ratio, self.guided(T, _SCORED_RADIUS))
+        matches = union(self.ratio, self.guided(T, PAIR.scored_radius))
         support = self.support(T, matches)
         if self.i.dense and self.j.dense:
             support = support**0.5

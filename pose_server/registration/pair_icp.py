@@ -17,16 +17,27 @@ from fleetpose.pose_server.geometry.icp import (
     residual,
 )
 from fleetpose.pose_server.geometry.methods import IcpMethod
+from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 
 Floats = npt.NDArray[np.floating]
 
-_RADIUS_PX = 30.0  # of ICP between surfaces from a pose that matches agree on, at the median depth
-# Of ICP between salient points, share of the depth: of 2, 5, 10 and 20 % this served the paper's
-# method best with three clicks.
-POINTS_RADIUS = 0.02
-_FEWEST_POINTS = 3
+
+@dataclass(frozen=True)
+class PairIcpSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    # reach of ICP between surfaces from a pose that matches agree on, px at the median depth
+    radius_px: float = 30.0
+    # Of ICP between salient points, share of the depth: of 2, 5, 10 and 20 % this served the
+    # paper's method best with three clicks
+    points_radius: float = 0.02
+
+
+PAIR_ICP = in_use("pair_icp", PairIcpSettings())
+
+_FEWEST_POINTS = 3  # derived: points that determine a pose
 _PLAIN = "plain_cloud"
 
 
@@ -77,11 +88,11 @@ def registered(
     if dense:
         i, j = pair.i.measured.for_icp, pair.j.measured.for_icp
         points_i, points_j = i.cloud.points()[:, :3], j.cloud.points()[:, :3]
-        radius_m = _RADIUS_PX * pair.depth_m / pair.i.observed.focal_px
+        radius_m = PAIR_ICP.radius_px * pair.depth_m / pair.i.observed.focal_px
     else:
         points_i, points_j = salient(pair.i), salient(pair.j)
         i, j = _plain(pair.i, points_i), _plain(pair.j, points_j)
-        radius_m = POINTS_RADIUS * pair.depth_m
+        radius_m = PAIR_ICP.points_radius * pair.depth_m
     if method != "gicp":
         T = by_open3d(points_i, points_j, T_i_j, radius_m, method)
     elif dense:

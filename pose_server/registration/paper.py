@@ -17,8 +17,9 @@ import numpy.typing as npt
 from fleetpose.pose_server.geometry import dlt
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.icp import has_open3d
+from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.operator_starts import FULL_POSE, Clicks, point_pairs
-from fleetpose.pose_server.registration.pair import RATIO, Pair
+from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.pair_icp import Registered, registered
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 from fleetpose.pose_server.registration.refinement import Start
@@ -27,11 +28,20 @@ from fleetpose.pose_server.registration.verdict.hearing import ByClicks, Hearing
 
 Floats = npt.NDArray[np.floating]
 
-# Share of the median depth: two thirds of the distance (.03, or more for noisy depths) at which the
-# regression error counts a point as having no partner. Not fitted: the paper names no threshold.
-_MOST_RMSE = 0.02
-_SIGMA = 0.01  # of its poses, share of the depth and radians: the method states none
-_P_GRAVE = 0.01  # the method states none: everything that is shown is taken to be so
+
+@dataclass(frozen=True)
+class PaperSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    # Share of the median depth: two thirds of the distance (.03, or more for noisy depths) at
+    # which the regression error counts a point as having no partner. Not fitted: the paper names
+    # no threshold
+    most_rmse: float = 0.02
+    sigma: float = 0.01  # of its poses, share of the depth and radians: the method states none
+    p_grave: float = 0.01  # the method states none: everything that is shown is taken to be so
+
+
+PAPER = in_use("paper", PaperSettings())
 
 
 @dataclass(frozen=True)
@@ -58,7 +68,7 @@ def linear_start(p_i: Floats, p_j: Floats) -> LinearStart:
 def by_icp(i: PreparedView, j: PreparedView, T_i_j: Floats) -> Registered | None:
     """A pose after ICP from salient point to salient point; none where there are too few."""
     how = "point_to_point" if has_open3d() else "gicp"
-    return registered(Pair(i, j, RATIO), T_i_j, how, salient_only=True)
+    return registered(Pair(i, j, PAIR.ratio), T_i_j, how, salient_only=True)
 
 
 def align_as_published(
@@ -82,14 +92,14 @@ def align_as_published(
     found = by_icp(i, j, T)
     if found is None:
         return PairResult(None, None, "rejected", ("too few salient points for ICP",))
-    pair = Pair(i, j, RATIO)
+    pair = Pair(i, j, PAIR.ratio)
     error_m2, count = regression_error(pair, found.T_i_j)
     rmse_m = float(np.sqrt(error_m2 / count)) if count else 0.0
-    most_m = _MOST_RMSE * pair.depth_m
+    most_m = PAPER.most_rmse * pair.depth_m
     shown = count > 0 and rmse_m < most_m
     result = PairResult(
         T_i_j=found.T_i_j,
-        covariance=_SIGMA**2 * np.diag(np.repeat((1.0, pair.depth_m**2), 3)),
+        covariance=PAPER.sigma**2 * np.diag(np.repeat((1.0, pair.depth_m**2), 3)),
         verdict="verified" if shown else "rejected",
         reasons=(
             f"regression error {rmse_m:.3g} m, {'below' if shown else 'not below'} {most_m:.3g} m: "
@@ -102,7 +112,7 @@ def align_as_published(
         regression_count=count,
         start=told.model if told else (known[0].kind if known else "identity"),
         timings_ms={"paper": 1e3 * (time.perf_counter() - began)},
-        p_grave=_P_GRAVE if shown else 1.0,
+        p_grave=PAPER.p_grave if shown else 1.0,
         by_clicks=told,
         icp=replace(found.report, kept=True),
     )
@@ -112,5 +122,5 @@ def align_as_published(
 def _with_clicks(result: PairResult, clicks: Clicks, shown: bool) -> PairResult:
     """All clicks are taken for right; three of them and more make a pose."""
     enough = shown and len(clicks.z_i) >= FULL_POSE
-    hearing = Hearing((True,) * len(clicks.z_i), _P_GRAVE if enough else 1.0)
+    hearing = Hearing((True,) * len(clicks.z_i), PAPER.p_grave if enough else 1.0)
     return replace(result, confirmed=enough, grown=enough, hearing=hearing)

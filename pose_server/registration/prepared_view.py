@@ -15,21 +15,31 @@ from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.features.shapes import Shapes, shapes_of
 from fleetpose.pose_server.geometry.icp import DenseCloud, dense_cloud
 from fleetpose.pose_server.geometry.noise import PointNoise
+from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.protocol.clouds import decode_salient, points_of, strongest
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.messages import NoiseModel, Salient, View, ViewName
 
 Floats = npt.NDArray[np.floating]
 
-DENSE_POINTS = 10_000  # from here on a cloud is dense enough for ICP
-_CLOUD_POINTS = 20_000  # of a dense cloud, used for its surface and for ICP
-_SAMPLE_POINTS = 1_000
-_MATCHED_POINTS = 8_000  # salient points, at most: matching takes memory by their square
-_COARSER = 1.4
-_SHAPE_RESOLUTION = 0.025  # share of the depth
-UP_SIGMA_RAD = 0.02  # of gravity by an accelerometer at rest, where the robot states none
-_ICP_PIXELS = 18.0  # lateral resolution of ICP, in pixels at the median depth
-_SHAPED_POINTS = 300  # fewer have no surface whose shape could be told
+
+@dataclass(frozen=True)
+class PreparedViewSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    dense_points: int = 10000  # from here on a cloud is dense enough for ICP
+    cloud_points: int = 20000  # of a dense cloud, used for its surface and for ICP
+    sample_points: int = 1000  # points of a cloud that free space and agreement are told by
+    matched_points: int = 8000  # salient points, at most: matching takes memory by their square
+    coarser: float = 1.4  # resolution of ICP by hand over that of a view
+    shape_resolution: float = 0.025  # share of the depth
+    # of gravity by an accelerometer at rest, where the robot states none
+    up_sigma_rad: float = 0.02
+    icp_pixels: float = 18.0  # lateral resolution of ICP, in pixels at the median depth
+    shaped_points: int = 300  # fewer have no surface whose shape could be told
+
+
+PREPARED_VIEW = in_use("prepared_view", PreparedViewSettings())
 
 
 @dataclass(frozen=True)
@@ -50,13 +60,13 @@ class MeasuredCloud:
     @cached_property
     def for_rough_icp(self) -> DenseCloud:
         """The same, coarser."""
-        return dense_cloud(self.points, _COARSER * self.resolution_m)
+        return dense_cloud(self.points, PREPARED_VIEW.coarser * self.resolution_m)
 
     def shapes(self, depth_m: float) -> Shapes:
         """Of its most telling points, at a resolution that suits a scene of that depth: the same
         for all depths that are alike, so that it is seldom done anew.
         """
-        resolution_m = _SHAPE_RESOLUTION * 2 ** (0.5 * round(2 * np.log2(depth_m)))
+        resolution_m = PREPARED_VIEW.shape_resolution * 2 ** (0.5 * round(2 * np.log2(depth_m)))
         if resolution_m not in self._shapes:
             self._shapes[resolution_m] = shapes_of(self.points, resolution_m)
         return self._shapes[resolution_m]
@@ -88,7 +98,7 @@ class PreparedView:
     noise: PointNoise
     median_depth_m: float
     up: Floats | None = None
-    up_sigma_rad: float = UP_SIGMA_RAD
+    up_sigma_rad: float = PREPARED_VIEW.up_sigma_rad
     looks: bool = True
     memo: dict[str, Any] = field(init=False, default_factory=dict)
     """What was found out about the view alone, by who did."""
@@ -113,12 +123,12 @@ class PreparedView:
     @property
     def shaped(self) -> bool:
         """Whether there are enough points for a surface whose shape can be told."""
-        return len(self.measured.points) >= _SHAPED_POINTS
+        return len(self.measured.points) >= PREPARED_VIEW.shaped_points
 
     @property
     def dense(self) -> bool:
         """Whether ICP makes sense."""
-        return len(self.measured.points) >= DENSE_POINTS
+        return len(self.measured.points) >= PREPARED_VIEW.dense_points
 
     @cached_property
     def point_tree(self) -> cKDTree:
@@ -146,7 +156,7 @@ def prepare_view(view: View) -> PreparedView:
     Raises:
         CodecError: the cloud or the salient points are damaged, or there are no points at all.
     """
-    points = points_of(view, _CLOUD_POINTS)
+    points = points_of(view, PREPARED_VIEW.cloud_points)
     if len(points.xyz) < 10:
         raise CodecError(f"view {view.name} has {len(points.xyz)} points with depth, need 10")
     camera = view.camera
@@ -163,7 +173,7 @@ def prepare_view(view: View) -> PreparedView:
     noise = point_noise(camera.noise)
     median = float(np.median(points.xyz[:, 2]))
     measured = MeasuredCloud(
-        points.xyz, max(_ICP_PIXELS * median / observed.focal_px, 1e-3 * median)
+        points.xyz, max(PREPARED_VIEW.icp_pixels * median / observed.focal_px, 1e-3 * median)
     )
     looks = view.salient.count > 0
     if not looks:
@@ -174,7 +184,7 @@ def prepare_view(view: View) -> PreparedView:
         size=observed.size,
         uv=points.uv,
         z=points.xyz[:, 2],
-        sample=_sample(points.xyz, _SAMPLE_POINTS),
+        sample=_sample(points.xyz, PREPARED_VIEW.sample_points),
         depth_sigma=float(noise.depth_sigma(np.array(median))) / median,
     )
     return PreparedView(
@@ -186,7 +196,7 @@ def prepare_view(view: View) -> PreparedView:
         noise=noise,
         median_depth_m=median,
         up=view.up_camera,
-        up_sigma_rad=view.up_sigma_rad or UP_SIGMA_RAD,
+        up_sigma_rad=view.up_sigma_rad or PREPARED_VIEW.up_sigma_rad,
         looks=looks,
     )
 
@@ -198,7 +208,7 @@ def _shaped(
     points, all of them.
     """
     points = measured.points
-    if len(points) >= _SHAPED_POINTS:
+    if len(points) >= PREPARED_VIEW.shaped_points:
         points = measured.shapes(depth_m).points
     sigma = float(noise.depth_sigma(np.array(depth_m))) / depth_m
     return observed.with_points(points[points[:, 2] > 0], sigma)
@@ -206,7 +216,7 @@ def _shaped(
 
 def _observed(salient: Salient, of: Observed) -> tuple[Observed, npt.NDArray[np.float32]]:
     """Salient points as seen by the camera of others, and their descriptors (N, D)."""
-    points = strongest(decode_salient(salient), _MATCHED_POINTS)
+    points = strongest(decode_salient(salient), PREPARED_VIEW.matched_points)
     descriptors = points.descriptors.astype(np.float32)
     norms = np.linalg.norm(descriptors, axis=1, keepdims=True)
     observed = replace(

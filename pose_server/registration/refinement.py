@@ -15,27 +15,40 @@ from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles
 from fleetpose.pose_server.geometry.icp import gicp
 from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.geometry.se3 import rotation_angle, transform, weighted_mean
+from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import Pair
 from fleetpose.pose_server.registration.pair_icp import IcpReport, registered
-from fleetpose.pose_server.registration.verdict.evaluate import COVARIANCE_INFLATION
+from fleetpose.pose_server.registration.verdict.evaluate import EVALUATE
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
-_ENOUGH_MATCHES = 300  # to find a pose; all are used to judge it
-_LEAST_MATCHES, _LEAST_AGREEING = 6, 5
-_NEARLY = 0.6  # as many as agree on the best pose: another is looked at too
-_FEW = 0.2  # of all matches: so few may be chance
-_AS_GOOD, _ALIKE = 0.94, 0.15  # of the best score; share of the depth
-_ROUGH_RADIUS, _ROUGH_ITERATIONS = 0.08, 10  # of ICP from a coarse start; share of the depth
-_ROUGH_SIGMA = 0.01  # of what comes of it
-_SHAPE_SIGMA = 0.01  # of where a shape is, share of its depth
-_SURFACE_POSES = 2
-_LEAST_SIGMA = 1e-3  # of a surface, share of the depth: no camera is better
-_FAR = 0.04  # share of the depth, and radians: surfaces that lead so far away are others
-# The image is trusted first. Where depths are worse than stated, a fit that may widen the pixel
-# noise settles between both; with loose depths it finds the pixels' pose, and then the noise.
-_START_NOISE = NoiseScale(1.0, 4.0)
+
+@dataclass(frozen=True)
+class RefinementSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    enough_matches: int = 300  # to find a pose; all are used to judge it
+    least_matches: int = 6  # matches, to look for a pose
+    least_agreeing: int = 5  # matches that agree, to refine one
+    nearly: float = 0.6  # as many as agree on the best pose: another is looked at too
+    few: float = 0.2  # of all matches: so few may be chance
+    as_good: float = 0.94  # share of the best score: a pose elsewhere that has it is judged too
+    alike: float = 0.15  # poses nearer to each other are one, share of the depth
+    rough_radius: float = 0.08  # reach of ICP from a coarse start, share of the depth
+    rough_iterations: int = 10  # of it
+    rough_sigma: float = 0.01  # of what comes of it
+    shape_sigma: float = 0.01  # of where a shape is, share of its depth
+    surface_poses: int = 2  # poses by the shape of surfaces that are looked at
+    least_sigma: float = 0.001  # of a surface, share of the depth: no camera is better
+    far: float = 0.04  # share of the depth, and radians: surfaces that lead so far away are others
+    # The image is trusted first. Where depths are worse than stated, a fit that may widen the
+    # pixel noise settles between both; with loose depths it finds the pixels' pose, and then the
+    # noise
+    start_noise: NoiseScale = NoiseScale(1.0, 4.0)
+
+
+REFINEMENT = in_use("refinement", RefinementSettings())
 
 
 @dataclass(frozen=True)
@@ -87,8 +100,8 @@ def medoid(pair: Pair, candidates: Sequence[Candidate]) -> Candidate:
     near = [
         one
         for one in candidates
-        if one.score > _AS_GOOD * best.score
-        and np.linalg.norm(one.T_i_j[:3, 3] - best.T_i_j[:3, 3]) < _ALIKE * pair.depth_m
+        if one.score > REFINEMENT.as_good * best.score
+        and np.linalg.norm(one.T_i_j[:3, 3] - best.T_i_j[:3, 3]) < REFINEMENT.alike * pair.depth_m
     ]
     if len(near) < 3:
         return best
@@ -104,17 +117,21 @@ def from_poses(pair: Pair, matches: Indices, kind: str, most: int) -> list[Candi
     """
     found: list[tuple[float, Refinement, Indices]] = []
     for T, agrees in _coarse_poses(pair, matches):
-        if len(agrees) < _LEAST_AGREEING or (found and len(agrees) < _NEARLY * len(found[0][2])):
+        if len(agrees) < REFINEMENT.least_agreeing or (
+            found and len(agrees) < REFINEMENT.nearly * len(found[0][2])
+        ):
             continue
         try:
-            refined = pair.refined(T, agrees, _START_NOISE, 4)
+            refined = pair.refined(T, agrees, REFINEMENT.start_noise, 4)
         except DegenerateGeometryError:
             continue
-        found.append((pair.scored(refined.T_i_j, matches, _START_NOISE).support, refined, agrees))
+        found.append(
+            (pair.scored(refined.T_i_j, matches, REFINEMENT.start_noise).support, refined, agrees)
+        )
     found.sort(key=lambda one: -one[0])
     candidates = []
     for support, refined, agrees in found[:most]:
-        if support >= _NEARLY * found[0][0]:
+        if support >= REFINEMENT.nearly * found[0][0]:
             candidates += from_matches(pair, refined.T_i_j, agrees, kind)
     return candidates
 
@@ -122,7 +139,9 @@ def from_poses(pair: Pair, matches: Indices, kind: str, most: int) -> list[Candi
 def _coarse_poses(pair: Pair, matches: Indices) -> list[tuple[Floats, Indices]]:
     """By triangles; where few agree, also by a solver that forgives depths all wrong alike."""
     found = poses_by_triangles(pair.i.observed, pair.j.observed, matches, pair.depth_m)
-    if (found and len(found[0][1]) > _FEW * len(matches)) or len(matches) < _LEAST_MATCHES:
+    if (found and len(found[0][1]) > REFINEMENT.few * len(matches)) or len(
+        matches
+    ) < REFINEMENT.least_matches:
         return found
     p_i, p_j = pair.points(matches)
     bound = float(np.clip(1.5 * pair.sigma, 0.01, 0.03))
@@ -144,7 +163,7 @@ def from_surfaces(pair: Pair) -> list[Candidate]:
     alike, _ = ratio_matches(shapes_i.descriptors, shapes_j.descriptors, 1.0)
     first = [len(view.observed.uv) for view in (pair.i, pair.j)]
     views = [
-        view.observed.with_points(shapes.points, _SHAPE_SIGMA)
+        view.observed.with_points(shapes.points, REFINEMENT.shape_sigma)
         for view, shapes in ((pair.i, shapes_i), (pair.j, shapes_j))
     ]
     matches = np.concatenate((alike + first, pair.ratio))
@@ -154,16 +173,16 @@ def from_surfaces(pair: Pair) -> list[Candidate]:
             pair.i.measured.for_rough_icp,
             pair.j.measured.for_rough_icp,
             T,
-            _ROUGH_RADIUS * pair.depth_m,
-            _ROUGH_ITERATIONS,
+            REFINEMENT.rough_radius * pair.depth_m,
+            REFINEMENT.rough_iterations,
         ).T_i_j
         seen = pair.agreement(rough)
         found.append(((seen.mean_agree - seen.through) * seen.overlap**0.5, rough))
     found.sort(key=lambda one: -one[0])
     return [
         one
-        for _, T in found[:_SURFACE_POSES]
-        for one in from_start(pair, Start("shape", T, _ROUGH_SIGMA))
+        for _, T in found[: REFINEMENT.surface_poses]
+        for one in from_start(pair, Start("shape", T, REFINEMENT.rough_sigma))
     ]
 
 
@@ -172,10 +191,10 @@ def from_matches(pair: Pair, T: Floats, matches: Indices, kind: str) -> list[Can
     those found around the predicted places.
     """
     try:
-        first = pair.refined(T, matches, _START_NOISE)
+        first = pair.refined(T, matches, REFINEMENT.start_noise)
         p_i, p_j = pair.points(pair.ratio)
         near = np.linalg.norm(transform(first.T_i_j, p_j) - p_i, axis=1) < 0.05 * pair.depth_m
-        if near.sum() >= _LEAST_MATCHES:
+        if near.sum() >= REFINEMENT.least_matches:
             matches = pair.ratio[near]
             first = pair.refined(first.T_i_j, matches, first.noise)
     except DegenerateGeometryError:
@@ -190,7 +209,7 @@ def from_start(pair: Pair, start: Start) -> list[Candidate]:
     """
     found = [Candidate(pair, start.kind, start.T_i_j)]
     radii = (min(0.1, 2 * start.sigma), min(0.03, start.sigma), 0.01, 0.006)
-    return found + _guided(pair, start.kind, start.T_i_j, radii, NO_MATCHES, _START_NOISE)
+    return found + _guided(pair, start.kind, start.T_i_j, radii, NO_MATCHES, REFINEMENT.start_noise)
 
 
 def with_surfaces(pair: Pair, one: Candidate) -> Candidate:
@@ -208,10 +227,10 @@ def with_surfaces(pair: Pair, one: Candidate) -> Candidate:
     fit = found.fit
     shift = float(np.linalg.norm(fit.T_i_j[:3, 3] - one.T_i_j[:3, 3])) / pair.depth_m
     turn_rad = rotation_angle(fit.T_i_j[:3, :3].T @ one.T_i_j[:3, :3])
-    if not (max(shift, turn_rad) < _FAR and np.isfinite(fit.hessian).all()):
+    if not (max(shift, turn_rad) < REFINEMENT.far and np.isfinite(fit.hessian).all()):
         return replace(one, icp=found.report)
-    surfaces = fit.hessian / (max(pair.sigma, _LEAST_SIGMA) * pair.depth_m) ** 2
-    matches = one.information / COVARIANCE_INFLATION
+    surfaces = fit.hessian / (max(pair.sigma, REFINEMENT.least_sigma) * pair.depth_m) ** 2
+    matches = one.information / EVALUATE.covariance_inflation
     T = weighted_mean(one.T_i_j, matches, fit.T_i_j, surfaces)
     told = replace(found.report, kept=True)
     return replace(one, T_i_j=T, T_by_matches=one.T_i_j, icp=told)
@@ -233,9 +252,9 @@ def _guided(
     found = None
     for radius in radii:
         matches = union(pair.guided(T, radius, both_ways=radius == radii[-1]), kept)
-        if len(matches) < _LEAST_MATCHES:
+        if len(matches) < REFINEMENT.least_matches:
             return []
-        some = matches[:: 1 + len(matches) // _ENOUGH_MATCHES]
+        some = matches[:: 1 + len(matches) // REFINEMENT.enough_matches]
         try:
             found = pair.refined(T, some, noise)
         except DegenerateGeometryError:

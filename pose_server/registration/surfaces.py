@@ -18,7 +18,8 @@ from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles
 from fleetpose.pose_server.geometry.icp import SurfaceFit, by_open3d, gicp, residual
 from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.geometry.se3 import position_covariance
-from fleetpose.pose_server.registration.pair import GRAVE_POSITION, GRAVE_ROTATION_RAD, Pair
+from fleetpose.pose_server.geometry.tuned import in_use
+from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.pair_icp import IcpReport
 from fleetpose.pose_server.registration.refinement import Start
 from fleetpose.pose_server.registration.verdict.evaluate import (
@@ -27,30 +28,41 @@ from fleetpose.pose_server.registration.verdict.evaluate import (
     regression_error,
 )
 from fleetpose.pose_server.registration.verdict.evidence import SurfaceEvidence
-from fleetpose.pose_server.registration.verdict.grave_probability import (
-    REJECTED_P_GRAVE,
-    VERIFIED_P_GRAVE,
-)
+from fleetpose.pose_server.registration.verdict.grave_probability import GRAVE_PROBABILITY
 from fleetpose.pose_server.registration.verdict.words import Verdict
 
 Floats = npt.NDArray[np.floating]
 
 _TOO_FEW = "too few points to be aligned by their shape, and no image: clicks can"
-_SHAPE_SIGMA = 0.01  # of where a shape is, share of its depth
-_NOISE_BOUND = 0.03  # of a solver that forgives what is wrong alike, share of the depth
-_ROUGH_RADIUS, _ROUGH_ITERATIONS = 0.08, 10  # of ICP from a coarse pose; share of the depth
-_FINE_RADIUS, _FINE_ITERATIONS = 0.04, 20
-_LOOKED_AT = 3  # of the poses after the rough ICP
-_LEAST_SIGMA = 1e-3  # of a surface, share of the depth: no sensor is better
-# Neighbouring points of a surface share their errors: inflated, with a floor for what a sensor gets
-# wrong alike everywhere (radians and shares of the depth). Set on rgbd_7scenes_redkitchen_A.
-_INFLATION, _FLOOR = 3.0, 0.01
-# Log odds of a grave error: of nothing, per unit of the surfaces' score, and of what a rival has.
-# Set by hand on rgbd_7scenes_redkitchen_A.
-_BIAS, _PER_SCORE, _PER_RIVAL = 3.0, -20.0, 12.0
-_PLAIN = 0.5  # score at which a robot that follows itself in small steps looks no further
-_MOST_THROUGH = 0.25  # as in the verdict by images
-_AS_GOOD = 0.6  # of the winner's score: a pose elsewhere that has it may be the right one
+
+
+@dataclass(frozen=True)
+class SurfacesSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    shape_sigma: float = 0.01  # of where a shape is, share of its depth
+    noise_bound: float = 0.03  # of a solver that forgives what is wrong alike, share of the depth
+    rough_radius: float = 0.08  # reach of ICP from a coarse pose, share of the depth
+    rough_iterations: int = 10  # of it
+    fine_radius: float = 0.04  # reach of ICP after that, share of the depth
+    fine_iterations: int = 20  # of it
+    looked_at: int = 3  # of the poses after the rough ICP
+    least_sigma: float = 0.001  # of a surface, share of the depth: no sensor is better
+    # of a covariance by surfaces: neighbouring points share their errors; set on
+    # rgbd_7scenes_redkitchen_A
+    inflation: float = 3.0
+    # what a sensor gets wrong alike everywhere, radians and shares of the depth; set there too
+    floor: float = 0.01
+    # log odds of a grave error of nothing; set by hand on rgbd_7scenes_redkitchen_A
+    bias: float = 3.0
+    per_score: float = -20.0  # log odds per unit of the surfaces' score; set there too
+    per_rival: float = 12.0  # log odds per share that a rival has; set there too
+    plain: float = 0.5  # score at which a robot that follows itself in small steps looks no further
+    most_through: float = 0.25  # as in the verdict by images
+    as_good: float = 0.6  # of the winner's score: a pose elsewhere that has it may be the right one
+
+
+SURFACES = in_use("surfaces", SurfacesSettings())
 
 
 def align_surfaces(
@@ -71,12 +83,14 @@ def align_surfaces(
     if search:
         rough.append(_roughly(pair, "identity", np.eye(4)))
     own = pair.i.name.robot == pair.j.name.robot
-    if search and not (own and max(one.score for one in rough) > _PLAIN):
+    if search and not (own and max(one.score for one in rough) > SURFACES.plain):
         rough += [_roughly(pair, "shape", T) for T in _by_shape(pair)]
     if not rough:
         return PairResult(None, None, "rejected", ("no start, and nothing may be searched",))
     rough.sort(key=lambda one: -one.score)
-    best = max((_finely(pair, one) for one in rough[:_LOOKED_AT]), key=lambda one: one.score)
+    best = max(
+        (_finely(pair, one) for one in rough[: SURFACES.looked_at]), key=lambda one: one.score
+    )
     rival = max((o.score for o in rough if pair.gravely_apart(o.T_i_j, best.T_i_j)), default=0.0)
     began_icp = time.perf_counter()
     best, report = _with_method(pair, best, icp, began_icp)
@@ -109,12 +123,12 @@ def _by_shape(pair: Pair) -> list[Floats]:
         return []
     empty = [len(view.observed.uv) for view in (pair.i, pair.j)]
     i, j = (
-        view.observed.with_points(shapes.points, _SHAPE_SIGMA)
+        view.observed.with_points(shapes.points, SURFACES.shape_sigma)
         for view, shapes in ((pair.i, shapes_i), (pair.j, shapes_j))
     )
     poses = [T for T, _ in poses_by_triangles(i, j, alike + empty, pair.depth_m)]
     p_i, p_j = shapes_i.points[alike[:, 0]], shapes_j.points[alike[:, 1]]
-    solved = robust.solve(p_i / pair.depth_m, p_j / pair.depth_m, _NOISE_BOUND)
+    solved = robust.solve(p_i / pair.depth_m, p_j / pair.depth_m, SURFACES.noise_bound)
     if solved is not None:
         T = solved[0].copy()
         T[:3, 3] *= pair.depth_m
@@ -124,14 +138,14 @@ def _by_shape(pair: Pair) -> list[Floats]:
 
 def _roughly(pair: Pair, kind: str, T_i_j: Floats) -> _Found:
     i, j = (view.measured.for_rough_icp for view in (pair.i, pair.j))
-    T = gicp(i, j, T_i_j, _ROUGH_RADIUS * pair.depth_m, _ROUGH_ITERATIONS).T_i_j
+    T = gicp(i, j, T_i_j, SURFACES.rough_radius * pair.depth_m, SURFACES.rough_iterations).T_i_j
     return _Found(kind, T, score(pair, T))
 
 
 def _finely(pair: Pair, one: _Found) -> _Found:
     i, j = (view.measured.for_icp for view in (pair.i, pair.j))
     began = time.perf_counter()
-    fit = gicp(i, j, one.T_i_j, _FINE_RADIUS * pair.depth_m, _FINE_ITERATIONS)
+    fit = gicp(i, j, one.T_i_j, SURFACES.fine_radius * pair.depth_m, SURFACES.fine_iterations)
     ms = 1e3 * (time.perf_counter() - began)
     return _Found(one.kind, fit.T_i_j, score(pair, fit.T_i_j), fit, ms)
 
@@ -141,7 +155,7 @@ def _with_method(
 ) -> tuple[_Found, IcpReport]:
     """The pose after the ICP that was asked for, where that is no worse, and what is told of it."""
     i, j = (view.measured.for_icp.cloud.points()[:, :3] for view in (pair.i, pair.j))
-    radius_m = _FINE_RADIUS * pair.depth_m
+    radius_m = SURFACES.fine_radius * pair.depth_m
     T, name, kept = one.T_i_j, "gicp", True
     if method in ("point_to_point", "point_to_plane"):
         T, name = by_open3d(i, j, one.T_i_j, radius_m, method), method
@@ -192,7 +206,11 @@ def _judged(pair: Pair, one: _Found, rival: float) -> PairResult:
 def p_grave(e: SurfaceEvidence) -> float:
     """Probability (0..1) that a pose with this evidence is gravely off."""
     share = e.rival / max(e.score, 1e-3)
-    log_odds = _BIAS + _PER_SCORE * e.score + _PER_RIVAL * max(share - _AS_GOOD / 2, 0.0)
+    log_odds = (
+        SURFACES.bias
+        + SURFACES.per_score * e.score
+        + SURFACES.per_rival * max(share - SURFACES.as_good / 2, 0.0)
+    )
     return float(1 / (1 + np.exp(-np.clip(log_odds, -6.0, 6.0))))
 
 
@@ -201,14 +219,14 @@ def _verdict(e: SurfaceEvidence, chance: float) -> tuple[Verdict, tuple[str, ...
         f"{e.agree:.0%} of {e.compared} surface points agree, {e.through:.0%} are seen through, "
         f"{e.overlap:.0%} overlap"
     )
-    if chance > REJECTED_P_GRAVE or e.through > _MOST_THROUGH:
+    if chance > GRAVE_PROBABILITY.rejected_p_grave or e.through > SURFACES.most_through:
         return "rejected", (told,)
-    if e.rival > _AS_GOOD * e.score:
+    if e.rival > SURFACES.as_good * e.score:
         return "ambiguous", (f"{told}; a pose elsewhere does {e.rival / e.score:.0%} as well",)
     off = 3 * e.position_sigma
-    if chance > VERIFIED_P_GRAVE:
+    if chance > GRAVE_PROBABILITY.verified_p_grave:
         return "plausible", (f"gravely off with a probability of {chance:.1%}: {told}",)
-    if off > GRAVE_POSITION or 3 * e.rotation_sigma_rad > GRAVE_ROTATION_RAD:
+    if off > PAIR.grave_position or 3 * e.rotation_sigma_rad > PAIR.grave_rotation_rad:
         return "plausible", (f"three sigma of the position are {off:.1%} of the depth: {told}",)
     return "verified", (told,)
 
@@ -216,5 +234,7 @@ def _verdict(e: SurfaceEvidence, chance: float) -> tuple[Verdict, tuple[str, ...
 def _covariance(pair: Pair, one: _Found) -> Floats | None:
     """(6, 6) of T_i_j by how the surfaces determine it; none where they let it slide."""
     assert one.fit is not None
-    noise_m = max(pair.sigma, _LEAST_SIGMA) * pair.depth_m
-    return calibrated(one.fit.hessian / noise_m**2, pair.depth_m, _INFLATION, _FLOOR)
+    noise_m = max(pair.sigma, SURFACES.least_sigma) * pair.depth_m
+    return calibrated(
+        one.fit.hessian / noise_m**2, pair.depth_m, SURFACES.inflation, SURFACES.floor
+    )

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, make_pose, transform
-from fleetpose.pose_server.registration.clicked import P_SUPPORTED, P_UNSUPPORTED, with_clicks
+from fleetpose.pose_server.registration.clicked import CLICKED, with_clicks
 from fleetpose.pose_server.registration.operator_starts import Clicks, operator_starts
-from fleetpose.pose_server.registration.pair import RATIO, Pair
+from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.prepared_view import prepare_view
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.registration.verdict.hearing import hear
@@ -62,7 +62,9 @@ def test_wrong_clicks_that_fit_each_other_are_refused_and_named(count):
 @pytest.mark.parametrize("count", [3, 5])
 def test_right_clicks_are_believed_and_sure_enough(count):
     result = told(UNDETERMINED, clicked(RIGHT[:count]))
-    assert result.verdict == "plausible" and result.confirmed and result.p_grave == P_SUPPORTED
+    assert (
+        result.verdict == "plausible" and result.confirmed and result.p_grave == CLICKED.p_supported
+    )
     assert result.hearing is not None and all(result.hearing.accepted) and not result.hearing.told
 
 
@@ -85,7 +87,9 @@ def test_where_images_say_nothing_what_more_clicks_say_counts_then_what_was_said
     )
     one, other = RIGHT[:3], RIGHT[2:]
     hearing = heard(together(clicked(one, one + STEP), clicked(other)), views)
-    assert hearing.accepted == (False,) * 3 + (True,) * 3 and hearing.p_grave == P_UNSUPPORTED
+    assert (
+        hearing.accepted == (False,) * 3 + (True,) * 3 and hearing.p_grave == CLICKED.p_unsupported
+    )
     hearing = heard(together(clicked(other), clicked(one, one + STEP)), views)
     assert hearing.accepted == (False,) * 3 + (True,) * 3
 
@@ -108,9 +112,9 @@ def test_a_view_upside_down_is_named_where_gravity_is_known():
     up = np.array([0.0, -1.0, 0.0])
     upright = tuple(replace(one, up=up) for one in VIEWS)
     half_turn = make_pose(exp_so3(np.array([0.0, 0.0, np.pi])), np.zeros(3))
-    said = hear(Pair(*upright, RATIO), T_TRUE @ half_turn)
+    said = hear(Pair(*upright, PAIR.ratio), T_TRUE @ half_turn)
     assert said.says == "against" and "r2 upside down: another order?" in said.why
-    assert hear(Pair(*upright, RATIO), T_TRUE).says == "for"
+    assert hear(Pair(*upright, PAIR.ratio), T_TRUE).says == "for"
 
 
 def test_what_features_found_stands_where_images_contradict_the_clicks():
@@ -125,7 +129,7 @@ def test_clicks_and_images_that_fit_two_poses_join_nothing_until_more_is_known()
     the images cannot contradict it, but they are for the pose that features found.
     """
     aside = T_TRUE @ make_pose(exp_so3(np.array([0.0, np.radians(50.0), 0.0])), np.zeros(3))
-    assert hear(Pair(*VIEWS, RATIO), aside).says == "blank"
+    assert hear(Pair(*VIEWS, PAIR.ratio), aside).says == "blank"
     plausible = PairResult(T_TRUE, np.eye(6), "plausible", ("some",), inliers=30, start="features")
     result = told(plausible, clicked(RIGHT, T_i_j=aside))
     assert result.verdict == "ambiguous" and not result.confirmed

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from fleetpose.pose_server.calibration.mirrors import Mirrors
-from fleetpose.pose_server.registration.pair import RATIO, Pair
+from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView, prepare_view
 from fleetpose.pose_server.registration.verdict.mirrored import (
     is_mirrored,
@@ -44,16 +44,16 @@ def test_mirroring_twice_is_nothing():
 
 def test_views_that_fit_only_mirrored_are_told_and_others_are_not():
     i, j = views()
-    assert is_mirrored(Pair(i, flipped(j), RATIO), 0)
-    assert is_mirrored(Pair(flipped(i), j, RATIO), 0)
-    assert not is_mirrored(Pair(i, j, RATIO), 0)
-    assert not is_mirrored(Pair(flipped(i), flipped(j), RATIO), 0)
+    assert is_mirrored(Pair(i, flipped(j), PAIR.ratio), 0)
+    assert is_mirrored(Pair(flipped(i), j, PAIR.ratio), 0)
+    assert not is_mirrored(Pair(i, j, PAIR.ratio), 0)
+    assert not is_mirrored(Pair(flipped(i), flipped(j), PAIR.ratio), 0)
 
 
 def test_a_view_of_something_else_is_not_mirrored():
     i, _ = views()
     _, other = views(9)
-    assert not is_mirrored(Pair(i, flipped(other), RATIO), 0)
+    assert not is_mirrored(Pair(i, flipped(other), PAIR.ratio), 0)
 
 
 def test_who_contradicts_the_most_is_named():

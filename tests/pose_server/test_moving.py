@@ -14,7 +14,7 @@ from fleetpose.pose_server.frontend.moving_points import MOST_MASKED, moving_mas
 from fleetpose.pose_server.geometry.features.motion import Mask, moves_together
 from fleetpose.pose_server.geometry.se3 import inverse
 from fleetpose.pose_server.registration.align import align_pair
-from fleetpose.pose_server.registration.pair import RATIO, Pair
+from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.prepared_view import prepare_view
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.state.site import Site
@@ -68,7 +68,7 @@ def test_nothing_is_masked_where_nothing_moves():
 
 def test_without_a_sure_alignment_there_is_no_mask():
     first, second, _ = views_of_one_robot(np.random.default_rng(1), 0.6)
-    pair = Pair(prepare_view(first), prepare_view(second), RATIO)
+    pair = Pair(prepare_view(first), prepare_view(second), PAIR.ratio)
     sure = align_pair(pair.i, pair.j)
     assert moving_masks(pair, sure)[0] is not None
     assert moving_masks(pair, replace(sure, verdict="ambiguous")) == (None, None)

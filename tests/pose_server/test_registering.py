@@ -6,7 +6,7 @@ import pytest
 from fleetpose.pose_server.geometry import icp
 from fleetpose.pose_server.geometry.se3 import retract
 from fleetpose.pose_server.registration.align import align_pair
-from fleetpose.pose_server.registration.pair import RATIO, Pair
+from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.pair_icp import registered
 from fleetpose.pose_server.registration.prepared_view import prepare_view
 from fleetpose.pose_server.registration.refinement import Candidate, with_icp
@@ -32,7 +32,7 @@ def test_an_icp_of_noisy_sparse_points_that_spoils_the_pose_is_told_and_not_kept
     found = align_pair(*views, icp=method)
     assert found.verdict == "verified" and found.icp is not None
     assert np.linalg.norm(found.T_i_j[:3, 3] - T_TRUE[:3, 3]) < 0.1
-    after = registered(Pair(*views, RATIO), found.T_i_j, method)
+    after = registered(Pair(*views, PAIR.ratio), found.T_i_j, method)
     off_m = np.linalg.norm(after.T_i_j[:3, 3] - T_TRUE[:3, 3])
     assert found.icp.kept == (off_m < np.linalg.norm(found.T_i_j[:3, 3] - T_TRUE[:3, 3]))
     assert found.icp.ms > 0 and found.icp.count > 50
@@ -46,7 +46,7 @@ def test_off_is_off(views):
 @pytest.mark.parametrize("method", METHODS)
 def test_a_pose_that_it_mends_is_kept(views, method):
     skip_without_open3d(method)
-    pair = Pair(*views, RATIO)
+    pair = Pair(*views, PAIR.ratio)
     off = retract(T_TRUE, np.array([0.0, 0.0, 0.0, 0.12, 0.0, 0.0]))
     mended = with_icp(pair, Candidate(pair, "graph", off), method)
     assert mended.icp is not None and mended.icp.kept

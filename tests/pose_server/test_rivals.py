@@ -6,7 +6,7 @@ import pytest
 from fleetpose.pose_server.geometry.features.patches import sides_seen
 from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, make_pose
 from fleetpose.pose_server.registration.align import align_pair
-from fleetpose.pose_server.registration.pair import RATIO, Pair
+from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView, prepare_view
 from fleetpose.pose_server.registration.verdict.aliases import aliases_of
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
@@ -85,7 +85,7 @@ def test_what_stands_there_only_once_is_not_explained_by_the_period():
 
 def test_where_a_view_repeats_one_step_further_is_a_rival_whatever_is_found_there():
     i, j = panelled(np.random.default_rng(5), 0)
-    pair = Pair(i, j, RATIO)
+    pair = Pair(i, j, PAIR.ratio)
     exact = pair.exact(STEP, pair.guided(STEP, 0.008))
     steps = [rival.T_i_j[:3, 3] - STEP[:3, 3] for rival in rivals_of(pair, STEP, exact)]
     assert any(abs(abs(step[0]) - PERIOD_M) < 0.2 for step in steps)
@@ -94,7 +94,7 @@ def test_where_a_view_repeats_one_step_further_is_a_rival_whatever_is_found_ther
 
 def test_a_right_pose_explains_more_than_one_a_panel_further():
     i, j = panelled(np.random.default_rng(6), 40)
-    pair = Pair(i, j, RATIO)
+    pair = Pair(i, j, PAIR.ratio)
     beside = make_pose(np.eye(3), STEP[:3, 3] + (PERIOD_M, 0.0, 0.0))
     holes = []
     for T in (STEP, beside):

@@ -5,16 +5,16 @@ import numpy as np
 from fleetpose.pose_server.geometry.se3 import inverse
 from fleetpose.pose_server.registration.align import align_pair
 from fleetpose.pose_server.registration.diagnostics import with_suggestions
-from fleetpose.pose_server.registration.pair import RATIO, Pair
+from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.prepared_view import prepare_view
-from fleetpose.pose_server.registration.suggested_points import MOST, suggested
+from fleetpose.pose_server.registration.suggested_points import SUGGESTED_POINTS, suggested
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from tests.pose_server.scene import K, pair_of_views, turned
 
 
 def pair_of(T_i_j, seed=3):
     views = pair_of_views(np.random.default_rng(seed), T_i_j)
-    return Pair(*(prepare_view(view) for view in views), RATIO)
+    return Pair(*(prepare_view(view) for view in views), PAIR.ratio)
 
 
 def places(pair, T_j_i, row):
@@ -28,7 +28,7 @@ def test_suggestions_are_true_and_spread_out():
     T_true = turned(20)
     pair = pair_of(T_true)
     rows = suggested(pair, T_true)
-    assert 3 <= len(rows) <= MOST
+    assert 3 <= len(rows) <= SUGGESTED_POINTS.most
     off = [np.linalg.norm(places(pair, inverse(T_true), row) - row[2:]) for row in rows]
     assert np.median(off) < 6.0
     for side in (rows[:, :2], rows[:, 2:]):
@@ -48,6 +48,6 @@ def test_matches_that_agree_with_the_pose_come_first():
 def test_only_what_is_not_verified_comes_with_suggestions():
     pair = pair_of(turned(20))
     lost = with_suggestions(pair, PairResult(None, None, "rejected", ()))
-    assert lost.suggested is not None and len(lost.suggested) <= MOST
+    assert lost.suggested is not None and len(lost.suggested) <= SUGGESTED_POINTS.most
     sure = align_pair(pair.i, pair.j)
     assert sure.verdict == "verified" and sure.suggested is None

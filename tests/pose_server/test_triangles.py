@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fleetpose.pose_server.geometry.features.observed import Observed
-from fleetpose.pose_server.geometry.features.triangles import MOST_MATCHES, poses_by_triangles
+from fleetpose.pose_server.geometry.features.triangles import TRIANGLES, poses_by_triangles
 from fleetpose.pose_server.geometry.se3 import (
     exp_so3,
     inverse,
@@ -117,6 +117,6 @@ def test_points_that_span_no_triangle_make_no_pose(kind):
 
 
 def test_matches_beyond_the_most_trusted_are_left_out():
-    i, j, matches, _, _ = two_views(0, MOST_MATCHES + 200, 0)
+    i, j, matches, _, _ = two_views(0, TRIANGLES.most_matches + 200, 0)
     _, agrees = poses_by_triangles(i, j, matches, 2.0)[0]
-    assert agrees[:, 0].max() < MOST_MATCHES
+    assert agrees[:, 0].max() < TRIANGLES.most_matches

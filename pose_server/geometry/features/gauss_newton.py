@@ -18,14 +18,14 @@ what was measured there (pixels, inverse depths, sigmas), its K, sigma of a dire
 and of a pixel there, the sign of the increment, and their rows among all matches.
 """
 
-_SCALE_3DOF, _SCALE_2DOF = 9.0, 7.0  # where a Geman-McClure weight has fallen to a quarter
-_INLIER_3DOF, _INLIER_2DOF = 14.2, 11.3  # chi-square, 99.7 %
-_SETTLED_SIGMAS = 0.05  # a step of less than this share of the pose's own sigma ends the search
-_CHI2_MEDIAN_1DOF = 1.4826  # sigma from the median of absolute values
-_LONGEST_TURN_RAD = 0.5  # of one step
-_LEAST_MATCHES = 8  # of which a noise is estimated
-_LEAST_WEIGHT = 0.05  # of these
-_PIXEL_NOISE, _DEPTH_NOISE = 0.4, (0.25, 6.0)  # limits of what may be found
+_SCALE_3DOF, _SCALE_2DOF = 9.0, 7.0  # compiled: a Geman-McClure weight is a quarter there
+_INLIER_3DOF, _INLIER_2DOF = 14.2, 11.3  # derived: chi-square, 99.7 %
+_SETTLED_SIGMAS = 0.05  # numerical: a step of less of the pose's own sigma ends the search
+_CHI2_MEDIAN_1DOF = 1.4826  # derived: sigma from the median of absolute values
+_LONGEST_TURN_RAD = 0.5  # numerical: of one step
+_LEAST_MATCHES = 8  # compiled: of which a noise is estimated
+_LEAST_WEIGHT = 0.05  # compiled: of these
+_PIXEL_NOISE, _DEPTH_NOISE = 0.4, (0.25, 6.0)  # compiled: limits of what may be found
 
 _SIDE = (
     "Tuple((f8[:, ::1], f8[::1], f8[:, ::1], f8[::1], f8[::1], f8[:, ::1], f8, f8, f8, i8[::1]))"

@@ -13,7 +13,7 @@ Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 Descriptors = npt.NDArray[np.float32]
 
-_NO_DEPTH_VARIANCE = 1e6  # times the variance it replaces: the third residual then says nothing
+_NO_DEPTH_VARIANCE = 1e6  # numerical: times the variance it replaces, the residual says nothing
 
 
 @njit("i8(f8, f8, i8)", cache=True, inline="always")

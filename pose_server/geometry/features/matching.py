@@ -8,14 +8,24 @@ import numpy as np
 import numpy.typing as npt
 
 from fleetpose.pose_server.geometry.features.kernels import best_around, first_of_each
+from fleetpose.pose_server.geometry.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 Descriptors = npt.NDArray[np.float32]
 NO_MATCHES: Indices = np.zeros((0, 2), np.int64)
-_BLOCK = 256  # rows of similarities that stay in the cache
-CELL_PX = 16.0
-_SAME_PLACE_PX = 3.0  # candidates nearer to each other are no rivals
+_BLOCK = 256  # numerical: rows of similarities that stay in the cache
+
+
+@dataclass(frozen=True)
+class MatchingSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    cell_px: float = 16.0  # width of a cell of the grid in which predicted places are searched, px
+    same_place_px: float = 3.0  # candidates nearer to each other are no rivals
+
+
+MATCHING = in_use("matching", MatchingSettings())
 
 
 @dataclass(frozen=True)
@@ -52,7 +62,7 @@ class PixelGrid:
     @classmethod
     def of(cls, uv: Floats) -> "PixelGrid":
         """The grid of pixels (N, 2), which are not below 0."""
-        cell = np.maximum(uv // CELL_PX, 0).astype(np.int64)
+        cell = np.maximum(uv // MATCHING.cell_px, 0).astype(np.int64)
         columns, rows = cell.max(axis=0, initial=0) + 1
         flat = cell[:, 1] * columns + cell[:, 0]
         begin = np.zeros(rows * columns + 1, np.int64)
@@ -137,13 +147,13 @@ def guided_matches(
         grid.begin,
         grid.order,
         grid.columns,
-        CELL_PX,
+        MATCHING.cell_px,
         grid.uv,
         inverse_depth,
         descriptors_there,
         radius_px,
         depth_tolerance,
-        _SAME_PLACE_PX,
+        MATCHING.same_place_px,
     )
     keep = (first > min_cosine) & ((1 - first) < ratio**2 * (1 - second))
     return np.column_stack((prediction.index, best))[keep], first[keep]

@@ -6,12 +6,23 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from fleetpose.pose_server.geometry.tuned import in_use
+
 Floats = npt.NDArray[np.floating]
 Bools = npt.NDArray[np.bool_]
 
-_AROUND = 8  # matches that tell what happens around one
-_ALIKE = 5  # of these, itself included, that must be shifted alike
-_ALIKE_PX, _ALIKE_SHARE = 2.0, 0.25  # how far shifts that are alike may differ
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    around: int = 8  # matches that tell what happens around one
+    alike: int = 5  # of these, itself included, that must be shifted alike
+    alike_px: float = 2.0  # how far shifts that are alike may differ, px
+    alike_share: float = 0.25  # or share of the shift
+
+
+MOTION = in_use("motion", MotionSettings())
 
 
 @dataclass(frozen=True)
@@ -40,13 +51,13 @@ def moves_together(uv: Floats, shift: Floats, off: Bools) -> Bools:
         shift: (M, 2) how far from where they would be if they stood still, px.
         off: (M,) which are clearly not there.
     """
-    if len(uv) < _AROUND:
+    if len(uv) < MOTION.around:
         return np.zeros(len(uv), bool)
-    near = cKDTree(uv).query(uv, k=_AROUND)[1]
+    near = cKDTree(uv).query(uv, k=MOTION.around)[1]
     differ = np.linalg.norm(shift[near] - shift[:, None], axis=2)
-    allowed = np.maximum(_ALIKE_PX, _ALIKE_SHARE * np.linalg.norm(shift, axis=1))
+    allowed = np.maximum(MOTION.alike_px, MOTION.alike_share * np.linalg.norm(shift, axis=1))
     alike = off[near] & (differ < allowed[:, None])
-    return off & (alike.sum(axis=1) >= _ALIKE)
+    return off & (alike.sum(axis=1) >= MOTION.alike)
 
 
 def some_together(uv: Floats, shift: Floats, reach_px: float, least: int) -> bool:
@@ -59,7 +70,7 @@ def some_together(uv: Floats, shift: Floats, reach_px: float, least: int) -> boo
     """
     apart = np.linalg.norm(uv[:, None] - uv, axis=2)
     differ = np.linalg.norm(shift[:, None] - shift, axis=2)
-    allowed = np.maximum(_ALIKE_PX, 0.5 * _ALIKE_SHARE * np.linalg.norm(shift, axis=1))
+    allowed = np.maximum(MOTION.alike_px, 0.5 * MOTION.alike_share * np.linalg.norm(shift, axis=1))
     alike = (apart < reach_px) & (differ < allowed[:, None])
     places = np.unique(np.rint(uv), axis=0, return_inverse=True)[1].ravel()
     return any(len(set(places[row].tolist())) >= least for row in alike)

@@ -13,14 +13,25 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from fleetpose.pose_server.geometry.se3 import inverse, transform
+from fleetpose.pose_server.geometry.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 
-_CENTRES, _NEIGHBOURS = 250, 16
-_POINTS = 2_500  # of a dense cloud, so that neighbours lie as far apart as those of a sparse one
-_FLAT = 0.015  # a patch whose inverse depths scatter by more than this share, or
-_FLAT_SIGMAS = 2.0  # so many sigmas, is no plane
-_DECIDED_SIGMAS = 3.0  # by which a camera must be before or behind a plane
+
+@dataclass(frozen=True)
+class PatchesSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    centres: int = 250  # patches of a view
+    neighbours: int = 16  # points of a patch
+    # of a dense cloud, so that neighbours lie as far apart as those of a sparse one
+    points: int = 2500
+    flat: float = 0.015  # a patch whose inverse depths scatter by more than this share, or
+    flat_sigmas: float = 2.0  # so many sigmas, is no plane
+    decided_sigmas: float = 3.0  # by which a camera must be before or behind a plane
+
+
+PATCHES = in_use("patches", PatchesSettings())
 
 
 @dataclass(frozen=True)
@@ -68,13 +79,13 @@ def patches_of(uv: Floats, z: Floats, K: Floats, depth_sigma: float) -> Patches:
         K: (3, 3) intrinsics, px.
         depth_sigma: relative sigma of a depth.
     """
-    step = max(1, len(uv) // _POINTS)
+    step = max(1, len(uv) // PATCHES.points)
     rays = (np.column_stack((uv, np.ones(len(uv)))) @ np.linalg.inv(K).T)[::step, :2]
     q = 1.0 / z[::step]
-    if len(q) < _NEIGHBOURS:
+    if len(q) < PATCHES.neighbours:
         return Patches(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
-    centres = rays[:: max(1, len(rays) // _CENTRES)]
-    near = cKDTree(rays).query(centres, k=_NEIGHBOURS)[1]
+    centres = rays[:: max(1, len(rays) // PATCHES.centres)]
+    near = cKDTree(rays).query(centres, k=PATCHES.neighbours)[1]
     A = np.concatenate((rays[near] - centres[:, None], np.ones((*near.shape, 1))), axis=2)
     normal = np.einsum("pki,pkj->pij", A, A)
     normal += 1e-12 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
@@ -82,7 +93,7 @@ def patches_of(uv: Floats, z: Floats, K: Floats, depth_sigma: float) -> Patches:
     slopes = np.einsum("pij,pkj,pk->pi", inverse_normal, A, q[near])
     off = np.einsum("pki,pi->pk", A, slopes) - q[near]
     scatter = np.sqrt((off * off).mean(axis=1)) / np.abs(slopes[:, 2])
-    flat = (slopes[:, 2] > 0) & (scatter < max(_FLAT, _FLAT_SIGMAS * depth_sigma))
+    flat = (slopes[:, 2] > 0) & (scatter < max(PATCHES.flat, PATCHES.flat_sigmas * depth_sigma))
     sigma = np.maximum(scatter, depth_sigma) * slopes[:, 2]
     here, slopes = centres[flat], slopes[flat]
     planes = np.column_stack((slopes[:, :2], slopes[:, 2] - (slopes[:, :2] * here).sum(axis=1)))
@@ -99,6 +110,6 @@ def sides_seen(
     uv = (moved @ K.T)[:, :2] / np.where(ahead, moved[:, 2], np.inf)[:, None]
     seen = ahead & (uv >= 0).all(axis=1) & (uv < size).all(axis=1)
     before, sigma = patches.clearance(inverse(T_target_source)[:3, 3])
-    told = seen & (np.abs(before) > _DECIDED_SIGMAS * sigma)
+    told = seen & (np.abs(before) > PATCHES.decided_sigmas * sigma)
     count = int(told.sum())
     return Sides(count, float((before[told] > 0).mean()) if count else 1.0)

@@ -10,13 +10,24 @@ import small_gicp
 from numba import njit
 from scipy.spatial import cKDTree
 
+from fleetpose.pose_server.geometry.tuned import in_use
+
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
-_NORMAL_NEIGHBOURS = 15
-_RADIUS = 5.0  # of what a histogram looks at, in resolutions
-_MOST_POINTS = 1500
-_BINS = 11  # of each of the three angles
+
+@dataclass(frozen=True)
+class ShapesSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    normal_neighbours: int = 15  # points that a normal is told by
+    radius: float = 5.0  # of what a histogram looks at, in resolutions
+    most_points: int = 1500  # points of a view that have a shape, the most bent first
+
+
+SHAPES = in_use("shapes", ShapesSettings())
+
+_BINS = 11  # cited: of each of the three angles (FPFH, Rusu 2009)
 
 
 @dataclass(frozen=True)
@@ -30,13 +41,13 @@ class Shapes:
 def shapes_of(points: Floats, resolution: float) -> Shapes:
     """The shapes of a cloud (N, 3), seen from the origin; all in one unit."""
     cloud = small_gicp.voxelgrid_sampling(points, resolution)
-    small_gicp.estimate_normals(cloud, num_neighbors=_NORMAL_NEIGHBOURS)
+    small_gicp.estimate_normals(cloud, num_neighbors=SHAPES.normal_neighbours)
     p = np.ascontiguousarray(cloud.points()[:, :3])
     normals = np.ascontiguousarray(cloud.normals()[:, :3])
-    near = cKDTree(p).query_pairs(_RADIUS * resolution, output_type="ndarray")
+    near = cKDTree(p).query_pairs(SHAPES.radius * resolution, output_type="ndarray")
     near = np.ascontiguousarray(near, np.int64)
     simple, bend = _simple_histograms(p, normals, near)
-    bent = np.argsort(-bend, kind="stable")[:_MOST_POINTS]
+    bent = np.argsort(-bend, kind="stable")[: SHAPES.most_points]
     chosen = np.full(len(p), -1, np.int64)
     chosen[bent] = np.arange(len(bent))
     histograms = _with_neighbours(p, near, simple, chosen, len(bent), resolution)

@@ -9,29 +9,44 @@ better than depths, so that this tells right poses with a few dozen matches amon
 what merely clusters in space.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.se3 import transform
+from fleetpose.pose_server.geometry.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 Bits = npt.NDArray[np.uint64]
 Vector = tuple[float, float, float]
 
-POSES = 8
-MOST_MATCHES = 600  # compatibility takes time by their square
-_EDGES, _THIRDS = 500, 3
-_ENOUGH = 0.3  # of the largest possible score: most matches agree, and refinement does the rest
-_SIGMAS = 3.5  # by which compatible distances may differ
-_LATERAL = 0.002  # sigma of a point across its ray, share of the depth
-_SHORTEST = 0.05  # edge of a triangle, share of the depth
-_FLATTEST = 0.15  # sine of its angle at the first corner
-_NEAR = 0.006  # of a measured direction, radians: a pose by three points is a coarse one
-_NEAR_DEPTH = (0.015, 0.06)  # at least and at most, shares; three sigmas in between
-_APART = 0.15  # poses nearer to each other than this count once, share of the depth
+
+@dataclass(frozen=True)
+class TrianglesSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    poses: int = 8  # poses that are told, at most
+    most_matches: int = 600  # matches that are looked at: compatibility takes time by their square
+    edges: int = 500  # edges that triangles begin from, the most common first
+    thirds: int = 3  # third corners of each
+    # of the largest possible score: most matches agree, and refinement does the rest
+    enough: float = 0.3
+    sigmas: float = 3.5  # by which compatible distances may differ
+    lateral: float = 0.002  # sigma of a point across its ray, share of the depth
+    shortest: float = 0.05  # edge of a triangle, share of the depth
+    near: float = 0.006  # of a measured direction, radians: a pose by three points is a coarse one
+    # at least and at most, shares; three sigmas in between
+    near_depth: tuple[float, float] = (0.015, 0.06)
+    apart: float = 0.15  # poses nearer to each other than this count once, share of the depth
+
+
+TRIANGLES = in_use("triangles", TrianglesSettings())
+
+_FLATTEST = 0.15  # compiled: sine of its angle at the first corner
 
 
 def poses_by_triangles(
@@ -45,26 +60,26 @@ def poses_by_triangles(
             `MOST_MATCHES` are not looked at.
         depth_m: of the scene.
     """
-    matches = matches[:MOST_MATCHES]
+    matches = matches[: TRIANGLES.most_matches]
     if len(matches) < 3:
         return []
     at_i, at_j = matches.T
     p_i, p_j = (np.ascontiguousarray(v.points[at]) for v, at in ((i, at_i), (j, at_j)))
     sigmas = [v.inverse_depth_sigma[at] / v.inverse_depth[at] for v, at in ((i, at_i), (j, at_j))]
-    shortest = _SHORTEST * depth_m
+    shortest = TRIANGLES.shortest * depth_m
     bits = _compatible(
         p_i,
         p_j,
         (sigmas[0] * p_i[:, 2]) ** 2,
         (sigmas[1] * p_j[:, 2]) ** 2,
-        4 * (_LATERAL * depth_m) ** 2,
-        _SIGMAS**2,
+        4 * (TRIANGLES.lateral * depth_m) ** 2,
+        TRIANGLES.sigmas**2,
         shortest,
     )
     edges, common = _edges(bits)
-    first = np.argsort(-common, kind="stable")[:_EDGES]
-    near_depth = float(np.clip(3 * np.median(np.hypot(*sigmas)), *_NEAR_DEPTH))
-    near_px = _NEAR * i.focal_px
+    first = np.argsort(-common, kind="stable")[: TRIANGLES.edges]
+    near_depth = float(np.clip(3 * np.median(np.hypot(*sigmas)), *TRIANGLES.near_depth))
+    near_px = TRIANGLES.near * i.focal_px
     uv, inverse_depth = (
         np.ascontiguousarray(i.uv[at_i]),
         np.ascontiguousarray(i.inverse_depth[at_i]),
@@ -77,12 +92,12 @@ def poses_by_triangles(
         np.array(i.K, np.float64),
         bits,
         edges[first],
-        _THIRDS,
+        TRIANGLES.thirds,
         near_px,
         near_depth,
-        _APART * depth_m,
-        POSES,
-        _ENOUGH * len(matches),
+        TRIANGLES.apart * depth_m,
+        TRIANGLES.poses,
+        TRIANGLES.enough * len(matches),
     )
     found = []
     for T in poses[np.argsort(-scores)][: int((scores > 0).sum())]:

@@ -19,14 +19,14 @@ from fleetpose.pose_server.geometry.se3 import (
     transform,
 )
 from fleetpose.pose_server.geometry.structure import Structure
-from fleetpose.pose_server.registration.pair import EXACT_SIGMAS, Pair
+from fleetpose.pose_server.geometry.tuned import in_use
+from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.pair_icp import IcpReport
 from fleetpose.pose_server.registration.verdict.evidence import NO_RIVAL, Evidence, SurfaceEvidence
 from fleetpose.pose_server.registration.verdict.explained import count_places, explained
 from fleetpose.pose_server.registration.verdict.fitted_model import MODEL
 from fleetpose.pose_server.registration.verdict.grave_probability import (
-    ELSEWHERE_P_GRAVE,
-    RIVAL_P_GRAVE,
+    GRAVE_PROBABILITY,
     holes_beyond_few,
     p_grave,
     stands,
@@ -44,14 +44,22 @@ from fleetpose.pose_server.registration.verdict.words import ELSEWHERE, Verdict,
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
-# Matches share depth errors, so that the raw covariance is too sure: inflated, with a floor, it is
-# right on the average of the recordings at hand (variance factor; radians and shares of the median
-# depth).
-COVARIANCE_INFLATION = 2.8
-COVARIANCE_FLOOR = 3e-4
-_JUDGED_RADIUS = 0.008  # around predicted places, share of the depth
-_TELLING_HOLES = 0.03  # beyond what right poses have
-_MOST_PIXEL_NOISE = 4.0  # that may be found at a pose: an alias shows by it
+
+@dataclass(frozen=True)
+class EvaluateSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    # Matches share depth errors, so that the raw covariance is too sure: inflated, with a floor,
+    # it is right on the average of the recordings at hand (variance factor; radians and shares of
+    # the median depth)
+    covariance_inflation: float = 2.8
+    covariance_floor: float = 0.0003  # least sigma of a pose, radians and shares of the depth
+    judged_radius: float = 0.008  # around predicted places, share of the depth
+    telling_holes: float = 0.03  # beyond what right poses have
+    most_pixel_noise: float = 4.0  # that may be found at a pose: an alias shows by it
+
+
+EVALUATE = in_use("evaluate", EvaluateSettings())
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,11 +157,11 @@ def contested(pair: Pair, result: PairResult) -> PairResult:
     result = replace(result, twofold=_but_for_holes(result.verdict, e))
     if result.verdict not in ("verified", "plausible"):
         return result
-    exact = pair.exact(T, union(pair.guided(T, _JUDGED_RADIUS), pair.ratio))
+    exact = pair.exact(T, union(pair.guided(T, EVALUATE.judged_radius), pair.ratio))
     rivals = [
         rival
         for rival in rivals_of(pair, T, exact)
-        if rival.by_itself or _own_chance(pair, rival.T_i_j) < RIVAL_P_GRAVE
+        if rival.by_itself or _own_chance(pair, rival.T_i_j) < GRAVE_PROBABILITY.rival_p_grave
     ]
     unique = unique_points(pair, exact)
     if not rivals and unique is None:
@@ -165,7 +173,7 @@ def contested(pair: Pair, result: PairResult) -> PairResult:
     if verdict != "ambiguous" and unique == 0:
         verdict, reasons = "ambiguous", (ELSEWHERE,)
         others = one_step_on(pair, T)
-        chance = max(chance, ELSEWHERE_P_GRAVE)
+        chance = max(chance, GRAVE_PROBABILITY.elsewhere_p_grave)
     return replace(
         result,
         evidence=e,
@@ -183,10 +191,10 @@ def _but_for_holes(verdict: Verdict, e: Evidence) -> bool:
     wings that are alike but for what hangs on their walls one was taken for the other. It is said
     of right pairs too, now and then.
     """
-    if verdict == "verified" or holes_beyond_few(e) < _TELLING_HOLES:
+    if verdict == "verified" or holes_beyond_few(e) < EVALUATE.telling_holes:
         return False
     filled = replace(e, explained=replace(e.explained, holes=0.0))
-    return p_grave(filled, MODEL) < ELSEWHERE_P_GRAVE
+    return p_grave(filled, MODEL) < GRAVE_PROBABILITY.elsewhere_p_grave
 
 
 def _own_chance(pair: Pair, T: Floats) -> float:
@@ -206,10 +214,10 @@ def _collected(
         DegenerateGeometryError: the matches do not determine a pose.
     """
     rest = T if T_by_matches is None else T_by_matches
-    matches = union(pair.guided(rest, _JUDGED_RADIUS), pair.ratio)
+    matches = union(pair.guided(rest, EVALUATE.judged_radius), pair.ratio)
     if len(matches) < 6:
         raise DegenerateGeometryError(f"{len(matches)} matches at the found pose, need 6")
-    again = pair.refined(rest, matches, NoiseScale(), 4, _MOST_PIXEL_NOISE)
+    again = pair.refined(rest, matches, NoiseScale(), 4, EVALUATE.most_pixel_noise)
     final = pair.scored(rest, matches, again.noise)
     # copies of one spot in several tilted images tell one thing, not several
     places = _places(pair, matches[final.inliers])
@@ -236,7 +244,7 @@ def _evidence(
     unguided = ratio.inliers if ratio else np.zeros(len(pair.ratio), bool)
     consistent = _places(pair, pair.ratio[unguided])
     inliers = final.inliers
-    exact = inliers & (np.abs(final.across_px) < EXACT_SIGMAS * pair.pixel_px)
+    exact = inliers & (np.abs(final.across_px) < PAIR.exact_sigmas * pair.pixel_px)
     rival, rivalled = _rival(pair, rest, ratio, again.noise)
     found_again = explained(pair, rest, matches[exact], unguided)
     return Evidence(
@@ -307,12 +315,14 @@ def _rival(pair: Pair, T: Floats, ratio: Refinement | None, noise: NoiseScale) -
 def calibrated(
     information: Floats,
     depth_m: float,
-    inflation: float = COVARIANCE_INFLATION,
-    floor: float = COVARIANCE_FLOOR,
+    inflation: float | None = None,
+    floor: float | None = None,
 ) -> Floats | None:
     """(6, 6) covariance with the inflation and the floor that make it honest, those of matches
     unless told; None if it is not determined.
     """
+    inflation = EVALUATE.covariance_inflation if inflation is None else inflation
+    floor = EVALUATE.covariance_floor if floor is None else floor
     scale = np.diag([1.0] * 3 + [1.0 / depth_m] * 3)  # positions as shares of the depth
     scaled = np.linalg.inv(scale) @ information @ np.linalg.inv(scale)
     values, vectors = np.linalg.eigh(scaled)

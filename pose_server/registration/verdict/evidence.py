@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from fleetpose.pose_server.registration.verdict.explained import Explained
 
-NO_RIVAL = 30.0
+NO_RIVAL = 30.0  # numerical: log odds beyond which nothing changes
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from fleetpose.pose_server.geometry.features.free_space import hides
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.features.patches import sides_seen
 from fleetpose.pose_server.geometry.se3 import inverse, transform
+from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 
@@ -21,19 +22,37 @@ Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
 
-_PARTS = 8  # across a view's width
-_NO_CHANCE = 3.0  # places expected to be found in a part: none is found by chance in one of twenty
-# What is found again falls off with the parallax p as exp(-(p / PARALLAX_RAD)^2), to this share.
-PARALLAX_RAD, LEAST_EXPECTED = np.radians(70.0), 0.2
-_EASY_PARALLAX_RAD, _EASY_SCALE = np.radians(40.0), np.log(1.6)
-_CHANCE, _MOST_LIKELY = 1e-3, 0.95  # that none of the points around is found; that one is
-_LEAST_AROUND, _MOST_AROUND = 20, 60  # points
-_ASKED_POINTS, _LEAST_TOLD = 300, 10  # of a view, enough to tell a share
-_STRONGEST = 700  # visible places: weaker ones of a wide set are found now here, now there
-# Descriptors hardly stand a tilt of more than three; by so many points around it is measured.
-_TILT, _TILTED_TOGETHER = np.log(3.0), 9
-_LEAST_SPREAD_PX2, _LEAST_STRETCH = 1e-3, 1e-6
-_CELL_PX = 4.0  # copies of one spot in several tilted images are one place
+
+@dataclass(frozen=True)
+class ExplainedSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    parts: int = 8  # across a view's width
+    # places expected to be found in a part: none is found by chance in one of twenty
+    no_chance: float = 3.0
+    # what is found again falls off with the parallax p as exp(-(p / this)^2)
+    parallax_rad: float = np.radians(70.0)
+    least_expected: float = 0.2  # down to this share
+    # places seen from directions nearer than this, radians
+    easy_parallax_rad: float = np.radians(40.0)
+    # and at scales nearer than this, logarithm, are easy to find again
+    easy_scale: float = np.log(1.6)
+    # probability that none of the points around a place is found though it is there
+    chance: float = 0.001
+    most_likely: float = 0.95  # highest probability that one is found
+    least_around: int = 20  # points around a place that tell of a hole
+    most_around: int = 60  # the same, at most
+    asked_points: int = 300  # points of a view that are asked about
+    least_told: int = 10  # of these, enough to tell a share
+    strongest: int = 700  # visible places: weaker ones of a wide set are found now here, now there
+    tilt: float = np.log(3.0)  # descriptors hardly stand a tilt of more than this, logarithm
+    tilted_together: int = 9  # points by which a tilt is measured
+    cell_px: float = 4.0  # copies of one spot in several tilted images are one place
+
+
+EXPLAINED = in_use("explained", ExplainedSettings())
+
+_LEAST_SPREAD_PX2, _LEAST_STRETCH = 1e-3, 1e-6  # numerical: no division by nothing
 
 
 @dataclass(frozen=True)
@@ -83,7 +102,9 @@ class Visible:
     def easily(self) -> Bools:
         """(N,) which of them look much the same from there, so that they are hardly missed."""
         out = self.mask.copy()
-        out[self.mask] = (self.parallax_rad < _EASY_PARALLAX_RAD) & (self.scale < _EASY_SCALE)
+        out[self.mask] = (self.parallax_rad < EXPLAINED.easy_parallax_rad) & (
+            self.scale < EXPLAINED.easy_scale
+        )
         return out
 
 
@@ -165,25 +186,25 @@ def holes(uv: Floats, visible: Visible, found: Indices) -> float:
     again[found] = True
     index = np.flatnonzero(visible.mask)
     cells, place = np.unique(_cells(uv[index]), return_inverse=True)
-    if len(cells) < _LEAST_AROUND:
+    if len(cells) < EXPLAINED.least_around:
         return 0.0
     first = np.full(len(cells), len(index))
     np.minimum.at(first, place, np.arange(len(index)))  # the strongest copy of each place
     found_there = np.zeros(len(cells), bool)
     np.logical_or.at(found_there, place, again[index])
-    some = np.sort(first)[:_STRONGEST]
+    some = np.sort(first)[: EXPLAINED.strongest]
     uv, there = uv[index[some]], visible.uv[some]
     parallax_rad, scale = visible.parallax_rad[some], visible.scale[some]
     again = found_there[place[some]]
     tree = cKDTree(uv)
-    tilt = _log_tilt(uv, there, tree.query(uv, k=_TILTED_TOGETHER)[1]) / _TILT
-    likely = np.exp(-((parallax_rad / PARALLAX_RAD) ** 2) - scale**2 - tilt**2)
-    likely = np.clip(likely * again.sum() / max(likely.sum(), 1e-9), 0.0, _MOST_LIKELY)
-    asked = slice(None, None, 1 + len(uv) // _ASKED_POINTS)
-    _, nearest = tree.query(uv[asked], k=min(_MOST_AROUND, len(uv)))
-    no_chance = np.cumsum(np.log1p(-likely)[nearest], axis=1) < np.log(_CHANCE)
+    tilt = _log_tilt(uv, there, tree.query(uv, k=EXPLAINED.tilted_together)[1]) / EXPLAINED.tilt
+    likely = np.exp(-((parallax_rad / EXPLAINED.parallax_rad) ** 2) - scale**2 - tilt**2)
+    likely = np.clip(likely * again.sum() / max(likely.sum(), 1e-9), 0.0, EXPLAINED.most_likely)
+    asked = slice(None, None, 1 + len(uv) // EXPLAINED.asked_points)
+    _, nearest = tree.query(uv[asked], k=min(EXPLAINED.most_around, len(uv)))
+    no_chance = np.cumsum(np.log1p(-likely)[nearest], axis=1) < np.log(EXPLAINED.chance)
     told = no_chance[:, -1]
-    if told.sum() < _LEAST_TOLD:
+    if told.sum() < EXPLAINED.least_told:
         return 0.0
     none = np.cumsum(again[nearest], axis=1)[np.arange(len(told)), no_chance.argmax(axis=1)] == 0
     return float((told & none).sum() / told.sum())
@@ -207,11 +228,11 @@ def empty_parts(view: Observed, uv: Floats, again: Bools, rate: float | None = N
     though by the share of all some should be, or by another one that is known.
     """
     rate = float(again.mean()) if rate is None else rate
-    cells = np.floor(uv / (view.size[0] / _PARTS)).astype(np.int64)
-    part = cells[:, 1] * _PARTS + cells[:, 0]
+    cells = np.floor(uv / (view.size[0] / EXPLAINED.parts)).astype(np.int64)
+    part = cells[:, 1] * EXPLAINED.parts + cells[:, 0]
     places = np.bincount(part)
     found = np.bincount(part, weights=again)
-    return int(places[(found == 0) & (rate * places >= _NO_CHANCE)].sum())
+    return int(places[(found == 0) & (rate * places >= EXPLAINED.no_chance)].sum())
 
 
 def count_places(uv: Floats) -> int:
@@ -221,7 +242,7 @@ def count_places(uv: Floats) -> int:
 
 def _cells(uv: Floats) -> Indices:
     """(N,) a number for the place of each pixel (N, 2): copies have the same."""
-    cells = np.rint(uv / _CELL_PX).astype(np.int64)
+    cells = np.rint(uv / EXPLAINED.cell_px).astype(np.int64)
     return cells[:, 0] << 32 | cells[:, 1]
 
 

@@ -19,27 +19,40 @@ import numpy.typing as npt
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.features.refine import NoiseScale
 from fleetpose.pose_server.geometry.se3 import inverse
+from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import Pair
-from fleetpose.pose_server.registration.verdict.explained import (
-    LEAST_EXPECTED,
-    PARALLAX_RAD,
-    seen_from_both,
-)
+from fleetpose.pose_server.registration.verdict.explained import EXPLAINED, seen_from_both
 
 Floats = npt.NDArray[np.floating]
 
 Says = Literal["for", "blank", "nothing", "against"]
 """`blank`: there is nothing that images could say; `nothing`: they could, and are not for it."""
 
-_RADIUS = 0.02  # of the search around predicted places, share of the depth: clicks are so good
-_NOISE = NoiseScale(1.0, 1.2)  # the same for all poses
-_FOR, _AGAINST = 0.09, 0.04  # share of what is expected
-_CHANCE, _FEW = 0.015, 8  # of the visible points, and so many more, are found by chance
-_TELLING = 80  # expected points: fewer may all be missed by a right pose
-_BLANK = 40  # visible points: with fewer it is as if there were no images
-_MAX_SEEN_THROUGH, _MIN_AGREE, _COMPARED = 0.25, 0.25, 20  # as in the verdict
-_UNSURE, _MOSTLY = 0.05, 0.5
-_TILTED_RAD = np.radians(30.0)  # no robot knows gravity worse
+
+@dataclass(frozen=True)
+class HearingSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    # of the search around predicted places, share of the depth: clicks are so good
+    radius: float = 0.02
+    noise: NoiseScale = NoiseScale(1.0, 1.2)  # the same for all poses
+    supports: float = 0.09  # found share of what is expected from which on images are for clicks
+    refutes: float = 0.04  # and below which they are against them
+    chance: float = 0.015  # share of the visible points that is found by chance
+    few: int = 8  # and so many more
+    telling: int = 80  # expected points: fewer may all be missed by a right pose
+    blank: int = 40  # visible points: with fewer it is as if there were no images
+    max_seen_through: float = 0.25  # share of a cloud that may be seen through, as in the verdict
+    min_agree: float = 0.25  # share of it that must agree
+    compared: int = 20  # points compared, to say so
+    # position sigma, share of the depth, from which on surfaces may differ by the pose's own
+    # error
+    unsure: float = 0.05
+    mostly: float = 0.5  # share that may be seen through then
+    tilted_rad: float = np.radians(30.0)  # no robot knows gravity worse
+
+
+HEARING = in_use("hearing", HearingSettings())
 
 
 @dataclass(frozen=True)
@@ -96,37 +109,43 @@ def hear(pair: Pair, T: Floats, sigma: float = 0.0) -> Heard:
     alone speaks against it only where most is.
     """
     tilt = _tilt_rad(pair, T)
-    if tilt > _TILTED_RAD:
+    if tilt > HEARING.tilted_rad:
         how = "upside down" if tilt > np.pi / 2 else f"tilted by {np.degrees(tilt):.0f} deg"
         return Heard(T, "against", 0.0, f"only with {pair.j.name.robot} {how}: another order?")
     seen = pair.agreement(T)
-    most = _MAX_SEEN_THROUGH if sigma < _UNSURE else _MOSTLY
-    if seen.compared >= _COMPARED and seen.through > most:
+    most = HEARING.max_seen_through if sigma < HEARING.unsure else HEARING.mostly
+    if seen.compared >= HEARING.compared and seen.through > most:
         why = f"{seen.through:.0%} of {pair.j.name.robot}'s cloud would be seen through"
         return Heard(T, "against", 0.0, why)
-    if seen.compared >= _COMPARED and seen.agree < _MIN_AGREE and sigma < _UNSURE:
+    if (
+        seen.compared >= HEARING.compared
+        and seen.agree < HEARING.min_agree
+        and sigma < HEARING.unsure
+    ):
         return Heard(T, "against", 0.0, f"only {seen.agree:.0%} of the surfaces would agree")
     if not pair.looks:  # a wall agrees wherever along it one clicks: that is no word for a pose
         return Heard(T, "nothing" if pair.i.shaped and pair.j.shaped else "blank", 0.0)
     visible, parallax_rad = _visible(pair, T)
     found = found_again(pair, T)
-    expected = visible * max(float(np.exp(-((parallax_rad / PARALLAX_RAD) ** 2))), LEAST_EXPECTED)
+    expected = visible * max(
+        float(np.exp(-((parallax_rad / EXPLAINED.parallax_rad) ** 2))), EXPLAINED.least_expected
+    )
     share = min(found / max(expected, 1.0), 1.0) * max(0.0, 1.0 - 2.0 * seen.through)
-    if share >= _FOR and found >= _FEW + _CHANCE * visible:
+    if share >= HEARING.supports and found >= HEARING.few + HEARING.chance * visible:
         return Heard(T, "for", share)
-    if share < _AGAINST and expected >= _TELLING:
+    if share < HEARING.refutes and expected >= HEARING.telling:
         why = f"of {visible} points that both images should show then, {found} are found"
         return Heard(T, "against", share, why)
-    return Heard(T, "blank" if visible < _BLANK else "nothing", share)
+    return Heard(T, "blank" if visible < HEARING.blank else "nothing", share)
 
 
 def found_again(pair: Pair, T: Floats) -> int:
     """Matches around predicted places that agree with a pose."""
-    matches = pair.guided(T, _RADIUS)
+    matches = pair.guided(T, HEARING.radius)
     if len(matches) < 6:
         return 0
     try:
-        return int(pair.scored(T, matches, _NOISE).inliers.sum())
+        return int(pair.scored(T, matches, HEARING.noise).inliers.sum())
     except DegenerateGeometryError:
         return 0
 

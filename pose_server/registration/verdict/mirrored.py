@@ -6,7 +6,7 @@ patch is the patch's own with its rows of cells turned over and its directions r
 is mirrored back on the server, and if that makes them fit, the reason is named.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -14,13 +14,24 @@ import numpy.typing as npt
 from fleetpose.pose_server.geometry.features.matching import ratio_matches
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles
+from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import Pair
 
 Descriptors = npt.NDArray[np.float32]
 
-_CELLS, _DIRECTIONS = 4, 8  # of a SIFT descriptor: 4 x 4 cells (Lowe 2004)
-_LEAST_AGREEING = 25  # matches that must agree once one view is mirrored,
-_TIMES_MORE = 2.0  # and over those that agree as the views are
+_CELLS, _DIRECTIONS = 4, 8  # cited: of a SIFT descriptor (Lowe 2004)
+
+
+@dataclass(frozen=True)
+class MirroredSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    least_agreeing: int = 25  # matches that must agree once one view is mirrored
+    times_more: float = 2.0  # and over those that agree as the views are
+
+
+MIRRORED = in_use("mirrored", MirroredSettings())
+
 
 REASON = "the views fit if one of them is mirrored: does a camera or its driver flip images?"
 
@@ -38,7 +49,7 @@ def is_mirrored(pair: Pair, agreeing: int) -> bool:
     lifted_i, lifted_j = i.observed.lifted, j.observed.lifted
     turned = mirrored_descriptors(j.descriptors[lifted_j])
     matches, cosines = ratio_matches(i.descriptors[lifted_i], turned, pair.ratio_limit)
-    needed = max(_LEAST_AGREEING, _TIMES_MORE * agreeing)
+    needed = max(MIRRORED.least_agreeing, MIRRORED.times_more * agreeing)
     if len(matches) < needed:
         return False
     matches = matches[np.argsort(-cosines, kind="stable")]

@@ -17,14 +17,14 @@ from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.features import robust
 from fleetpose.pose_server.geometry.features.matching import NO_MATCHES, union
 from fleetpose.pose_server.geometry.features.refine import NoiseScale
-from fleetpose.pose_server.geometry.features.triangles import MOST_MATCHES, poses_by_triangles
+from fleetpose.pose_server.geometry.features.triangles import TRIANGLES, poses_by_triangles
 from fleetpose.pose_server.geometry.se3 import inverse
-from fleetpose.pose_server.registration.pair import OWN_NOISE, Pair
+from fleetpose.pose_server.geometry.tuned import in_use
+from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 from fleetpose.pose_server.registration.verdict.aliases import Alias, aliases_of
 from fleetpose.pose_server.registration.verdict.explained import (
-    LEAST_EXPECTED,
-    PARALLAX_RAD,
+    EXPLAINED,
     count_places,
     empty_parts,
     visible_at,
@@ -34,29 +34,38 @@ Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
 
-_ELSEWHERE_PX = 12.0  # nearer points are the same corner, seen twice
-_ALIKE_PLACES = 3  # of each point, at most: a period has one on either side
-_AS_ALIKE = 1.5  # squared distance of descriptors, over that of the pose's own match,
-_EXACTLY_ALIKE = 0.04  # which is at least this: twins in a rendered or very sharp image
-_LEAST_LEFT_OVER = 6  # matches, to look for another pose among them
-_LEAST_TWINS = 4  # that agree on a pose, to look at it
-_ENOUGH_MATCHES = 120  # whose twins are looked for
-_LEAST_ALIKE = 8  # points with a twin elsewhere: fewer are chance
-_RADIUS = 0.012  # share of the depth: an alias is known as well as a pose by triangles
-_LEAST_PLACES, _WORTH = 12, 0.25  # that a rival finds again; over those of the winner
-_MOST_THROUGH = 0.25  # of a cloud: nobody sees through walls
-# Of what may be expected a rival finds so much of what the winner finds. In corridors, facades and
-# colonnades of equal parts nineteen in twenty do, of the rivals in a church that does not repeat
-# fewer than half.
-_AS_MUCH = 0.5
-_COMMON = 12  # places that one pose finds and the other expects: fewer tell nothing
-_MOST_RIVALS = 3
-# So many of the points that should repeat do not, and such a share. In corridors and facades
-# without unique things these are at most 14 and .02 for wrong poses, where there are many 27 and
-# .06 and more for right ones; by one view alone, where the other does not repeat, .11, and .3
-# and more. A motion at which less is found than so hardly repeats the view.
-_UNIQUE_POINTS, _UNIQUE_SHARE, _UNIQUE_SHARE_BY_ONE = 24, 0.05, 0.2
-_TELLING_RATE = 0.15
+
+@dataclass(frozen=True)
+class RivalsSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    elsewhere_px: float = 12.0  # nearer points are the same corner, seen twice
+    alike_places: int = 3  # of each point, at most: a period has one on either side
+    as_alike: float = 1.5  # squared distance of descriptors, over that of the pose's own match
+    exactly_alike: float = 0.04  # which is at least this: twins in a rendered or very sharp image
+    least_left_over: int = 6  # matches, to look for another pose among them
+    least_twins: int = 4  # that agree on a pose, to look at it
+    enough_matches: int = 120  # whose twins are looked for
+    least_alike: int = 8  # points with a twin elsewhere: fewer are chance
+    radius: float = 0.012  # share of the depth: an alias is known as well as a pose by triangles
+    least_places: int = 12  # places that a rival finds again
+    worth: float = 0.25  # the same, over those of the winner
+    most_through: float = 0.25  # of a cloud: nobody sees through walls
+    # Of what may be expected a rival finds so much of what the winner finds. In corridors,
+    # facades and colonnades of equal parts nineteen in twenty do, of the rivals in a church that
+    # does not repeat fewer than half
+    as_much: float = 0.5
+    common: int = 12  # places that one pose finds and the other expects: fewer tell nothing
+    most_rivals: int = 3  # poses that are compared with the winner
+    unique_points: int = 24  # points lost by an alias that single out a pose
+    unique_share: float = 0.05  # the same, share by both views: .06 and more for right ones
+    # by one view alone, where the other does not repeat: .3 and more for right ones
+    unique_share_by_one: float = 0.2
+    # share of a view that its own alias explains, to ask what is lost by it
+    telling_rate: float = 0.15
+
+
+RIVALS = in_use("rivals", RivalsSettings())
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,25 +104,25 @@ def rivals_of(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
     """
     shifted = _shifted(pair, T, exact)
     poses = [rival.T_i_j for rival in shifted]
-    other = left_over(pair, np.isin(pair.ratio[:, 1], exact[:, 1]), OWN_NOISE)
+    other = left_over(pair, np.isin(pair.ratio[:, 1], exact[:, 1]), PAIR.own_noise)
     if other is not None and pair.gravely_apart(T, other):
         poses.append(other)
-    some = exact[:: 1 + len(exact) // _ENOUGH_MATCHES]
-    elsewhere = _elsewhere(pair, some)[:MOST_MATCHES]
-    if len(elsewhere) >= _LEAST_ALIKE:
+    some = exact[:: 1 + len(exact) // RIVALS.enough_matches]
+    elsewhere = _elsewhere(pair, some)[: TRIANGLES.most_matches]
+    if len(elsewhere) >= RIVALS.least_alike:
         found = poses_by_triangles(pair.i.observed, pair.j.observed, elsewhere, pair.depth_m)
-        poses += [pose for pose, agrees in found if len(agrees) >= _LEAST_TWINS]
+        poses += [pose for pose, agrees in found if len(agrees) >= RIVALS.least_twins]
     if not poses:
         return []
     winner = _Claim.of(pair, T)
-    worth = max(_LEAST_PLACES, _WORTH * winner.places)
+    worth = max(RIVALS.least_places, RIVALS.worth * winner.places)
     rivals: list[Rival] = []
     looked_at: list[Floats] = []
     for pose in poses:
         rival = _rival(pair, winner, pose, worth, looked_at)
         if rival is not None:
             rivals.append(rival)
-    rivals = sorted(rivals, key=lambda one: -one.places)[:_MOST_RIVALS]
+    rivals = sorted(rivals, key=lambda one: -one.places)[: RIVALS.most_rivals]
     return _joined(pair, rivals, shifted)
 
 
@@ -128,13 +137,13 @@ def unique_points(pair: Pair, exact: Indices) -> int | None:
         alias.unexplained(view, np.unique(exact[:, column]))
         for column, view in enumerate((pair.i, pair.j))
         for alias in aliases_of(view)[:1]
-        if alias.rate >= _TELLING_RATE
+        if alias.rate >= RIVALS.telling_rate
     ]
     if not found:
         return None
     lost, of = min(found)
-    least_share = _UNIQUE_SHARE if len(found) == 2 else _UNIQUE_SHARE_BY_ONE
-    return lost if lost >= max(_UNIQUE_POINTS, least_share * of) else 0
+    least_share = RIVALS.unique_share if len(found) == 2 else RIVALS.unique_share_by_one
+    return lost if lost >= max(RIVALS.unique_points, least_share * of) else 0
 
 
 def one_step_on(pair: Pair, T: Floats) -> list[Floats]:
@@ -145,7 +154,7 @@ def one_step_on(pair: Pair, T: Floats) -> list[Floats]:
             for pose in _either_way(T, alias, column):
                 if all(pair.gravely_apart(pose, other) for other in poses):
                     poses.append(pose)
-    return poses[:_MOST_RIVALS]
+    return poses[: RIVALS.most_rivals]
 
 
 def _either_way(T: Floats, alias: Alias, column: int) -> list[Floats]:
@@ -182,7 +191,7 @@ def _shifted(pair: Pair, T: Floats, exact: Indices) -> list[Rival]:
                 continue
             places = int(alias.repeated[points].sum())
             for pose in _either_way(T, alias, column):
-                if pair.agreement(pose).through < _MOST_THROUGH:
+                if pair.agreement(pose).through < RIVALS.most_through:
                     rivals.append(Rival(pose, places, 0, lost, by_itself=True))
     return rivals
 
@@ -196,7 +205,7 @@ def left_over(pair: Pair, agreeing: Bools, noise: NoiseScale) -> Floats | None:
         noise: of the pair.
     """
     rest = pair.ratio[~agreeing]
-    if len(rest) < _LEAST_LEFT_OVER:
+    if len(rest) < RIVALS.least_left_over:
         return None
     p_i, p_j = pair.points(rest)
     found = robust.solve(p_i / pair.depth_m, p_j / pair.depth_m, 0.01)
@@ -224,17 +233,19 @@ def _elsewhere_in(i: PreparedView, j: PreparedView, matches: Indices) -> Indices
     """
     lifted = i.observed.lifted
     matches = matches[np.isfinite(j.observed.inverse_depth[matches[:, 1]])]
-    if len(lifted) <= _ALIKE_PLACES or len(matches) == 0:
+    if len(lifted) <= RIVALS.alike_places or len(matches) == 0:
         return NO_MATCHES
     cosines = j.descriptors[matches[:, 1]] @ i.descriptors[lifted].T
     own = np.einsum("md,md->m", j.descriptors[matches[:, 1]], i.descriptors[matches[:, 0]])
     uv = i.observed.uv
-    near = cKDTree(uv[lifted]).query_ball_point(uv[matches[:, 0]], _ELSEWHERE_PX)
+    near = cKDTree(uv[lifted]).query_ball_point(uv[matches[:, 0]], RIVALS.elsewhere_px)
     for row, columns in enumerate(near):
         cosines[row, columns] = -1.0
-    best = np.argpartition(-cosines, _ALIKE_PLACES - 1, axis=1)[:, :_ALIKE_PLACES]
+    best = np.argpartition(-cosines, RIVALS.alike_places - 1, axis=1)[:, : RIVALS.alike_places]
     distance = 1 - np.take_along_axis(cosines, best, axis=1)
-    rows, columns = np.nonzero(distance < _AS_ALIKE * np.maximum(1 - own, _EXACTLY_ALIKE)[:, None])
+    rows, columns = np.nonzero(
+        distance < RIVALS.as_alike * np.maximum(1 - own, RIVALS.exactly_alike)[:, None]
+    )
     order = np.argsort(distance[rows, columns], kind="stable")
     rows, columns = rows[order], columns[order]
     return np.column_stack((lifted[best[rows, columns]], matches[rows, 1]))
@@ -246,11 +257,11 @@ def _rival(
     """A coarse pose as a rival, if it is one: refined, it finds so many places again, and is none
     of those that were looked at, to which it is added.
     """
-    around = pair.guided(pose, _RADIUS)
+    around = pair.guided(pose, RIVALS.radius)
     if len(around) < worth:
         return None
     try:
-        pose = pair.refined(pose, around, OWN_NOISE, 6).T_i_j
+        pose = pair.refined(pose, around, PAIR.own_noise, 6).T_i_j
     except DegenerateGeometryError:
         return None
     if not pair.gravely_apart(pose, winner.T_i_j):
@@ -262,7 +273,7 @@ def _rival(
     if len(agreeing) < worth:
         return None
     claim = _Claim.of(pair, pose)
-    if claim.places < worth or claim.share < _AS_MUCH * winner.share:
+    if claim.places < worth or claim.share < RIVALS.as_much * winner.share:
         return None
     return Rival(pose, claim.places, _holes(winner, claim), _holes(claim, winner))
 
@@ -284,7 +295,7 @@ def _holes(of: "_Claim", beside: "_Claim") -> int:
 def _holes_in(of: "_Claim", beside: "_Claim", column: int) -> int:
     view = (of.pair.i, of.pair.j)[column].observed
     known = beside.found[column]
-    if known.sum() < _COMMON:
+    if known.sum() < RIVALS.common:
         return 0
     unseen = known & ~of.found[column] & ~of.expected[column]
     accounted = of.found[column] | beside.repeated(unseen, column)
@@ -325,7 +336,9 @@ class _Claim:
         visible = min(count_places(v.uv[one.mask]) for v, one in zip(views, seen, strict=True))
         angles = np.concatenate((seen[0].parallax_rad, seen[1].parallax_rad))
         angle = float(np.median(angles)) if len(angles) else 0.0
-        usual = max(float(np.exp(-((angle / PARALLAX_RAD) ** 2))), LEAST_EXPECTED)
+        usual = max(
+            float(np.exp(-((angle / EXPLAINED.parallax_rad) ** 2))), EXPLAINED.least_expected
+        )
         share = places / max(visible * usual, 1.0)
         return cls(T, pair, (seen[0].easily, seen[1].easily), agreeing, found, places, share)
 

@@ -5,19 +5,29 @@ repeats fit both. One on a poster, a cart, a sign fits one: under the other pose
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from fleetpose.pose_server.geometry.point_pairs import PointPairs
 from fleetpose.pose_server.geometry.se3 import inverse, transform
+from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 
 Floats = npt.NDArray[np.floating]
 
-_NEAR_PX = 12.0  # what a point looks like is told by a salient point so near
-_CLEARLY = 0.15  # less alike, as the cosine of two descriptors
+
+@dataclass(frozen=True)
+class UniqueSettings:
+    """What this module goes by; where it is from: `geometry.tuned`."""
+
+    near_px: float = 12.0  # what a point looks like is told by a salient point so near
+    clearly: float = 0.15  # less alike, as the cosine of two descriptors
+
+
+UNIQUE = in_use("unique", UniqueSettings())
 
 
 def on_unique_structure(
@@ -52,7 +62,7 @@ def _tells(
     if partner is None or own is None or not _in_sight(here, elsewhere):
         return False
     alike = float(partner @ own)
-    return other is None or float(partner @ other) < alike - _CLEARLY
+    return other is None or float(partner @ other) < alike - UNIQUE.clearly
 
 
 def _in_sight(view: PreparedView, p: Floats) -> bool:
@@ -67,4 +77,4 @@ def _look(view: PreparedView, p: Floats) -> npt.NDArray[np.float32] | None:
         return None
     distance = np.linalg.norm(view.observed.uv - uv[0], axis=1)
     nearest = int(distance.argmin())
-    return view.descriptors[nearest] if distance[nearest] < _NEAR_PX else None
+    return view.descriptors[nearest] if distance[nearest] < UNIQUE.near_px else None
