@@ -7,6 +7,7 @@ import typer
 
 from fleetpose.evaluation.options.building import of
 from fleetpose.evaluation.options.recorded import (
+    AblateOptions,
     AlignOptions,
     ClicksOptions,
     Out,
@@ -39,6 +40,25 @@ def trust(
     from fleetpose.evaluation.bench.trust import run
 
     run(fitted, held_out or [], out)
+
+
+@app.command()
+@of(AblateOptions)
+def ablate(
+    options: AblateOptions,
+    out: Out,
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(help="Stages, GROUP, GROUP.NUMBER or GROUP.NUMBER=VALUE; default: all."),
+    ] = None,
+) -> None:
+    """Switch a stage of the alignment off, or change a fitted number, and tell what that costs.
+
+    Each number is tried with a fifth less and more: --by. What nothing defends can go.
+    """
+    from fleetpose.evaluation.bench.ablate import run
+
+    run(options, names or [], out)
 
 
 @app.command()

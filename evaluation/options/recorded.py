@@ -68,6 +68,15 @@ class PairsOptions(RecordedOptions):
 
 
 @dataclass(frozen=True)
+class AblateOptions(RecordedOptions):
+    """What `pose-eval ablate` is asked for."""
+
+    by: float = told("Share by which each number is changed, less and more.", 0.2, min=0, max=1)
+    limit: int | None = told("So many pairs, spread evenly.", 40, min=1)
+    workers: int = told("Processes.", 2, min=1)
+
+
+@dataclass(frozen=True)
 class AlignOptions(RecordedOptions):
     """What `pose-eval align` is asked for."""
 

@@ -43,7 +43,7 @@ class AlignSettings:
     # matches from which on a start of the robot's own needs no features beside it
     strong_inliers: int = 60
     strong_sigma: float = 0.0055  # position sigma up to which that is so, share of the depth
-    # position sigma from which on a result is worth affine keypoints, share of the depth
+    # position sigma from which on features leave a pose weak, and ICP is tried, share of the depth
     weak_sigma: float = 0.011
     settled_inliers: int = 25  # matches from which on affine keypoints add nothing
     settled_sigma: float = 0.0127  # position sigma up to which that is so, share of the depth

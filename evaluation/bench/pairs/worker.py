@@ -143,6 +143,12 @@ def widened(wire: Path) -> "PreparedView":
     return prepared(wire)[0].with_salient(codec.unpack(View, payload).salient)
 
 
+def forget_views() -> None:
+    """Views are prepared anew: they were by other numbers."""
+    prepared.cache_clear()
+    widened.cache_clear()
+
+
 def prepare_ms(wire: Path) -> float:
     """Milliseconds that the server's share of a view takes."""
     return prepared(wire)[1]
