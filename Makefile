@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: help setup demo test test-fast lint format docs clean
+.PHONY: help setup demo test test-fast lint format pictures docs clean
 
 help: ## Shows what there is.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -37,6 +37,9 @@ lint: $(READY) ## ruff, pyright and the import rules.
 format: $(READY) ## Formats the code.
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/ruff format .
+
+pictures: $(READY) ## Makes the pictures in docs/ anew, from the demo.
+	@$(BIN)/python -m fleetpose.evaluation demo --pictures docs
 
 docs: $(VENV)/.docs ## Builds the site of docs/ in out/site; a link that leads nowhere ends it.
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --clean

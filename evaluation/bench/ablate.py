@@ -95,7 +95,7 @@ def run(options: AblateOptions, names: Sequence[str], out: Path) -> dict[str, An
                 for (i, j), answer in zip(pairs, answers, strict=True)
                 if answer is not None
             ]
-            effects[label] = effect(*label, rows, len(pairs))
+            effects[label] = effect(label, rows, len(pairs))
     found = [effects[label] for label in changes]
     write_csv(out / "ablate.csv", Effect, found)
     summary = {"pairs": len(pairs), "effects": [vars(one) for one in found]}
@@ -161,14 +161,13 @@ def scaled(value: float, factor: float) -> float:
     return value + (step or (1 if factor > 1 else -1))
 
 
-def effect(name: str, value: str, rows: Sequence[PairRow], pairs: int) -> Effect:
-    """What became of so many pairs."""
+def effect(label: tuple[str, str], rows: Sequence[PairRow], pairs: int) -> Effect:
+    """What became of so many pairs with something changed: its name and value."""
     right = [row for row in rows if row.position_error_m is not None and not row.grave]
     errors = [row.position_error_m for row in right if row.position_error_m is not None]
     verified = [row for row in rows if row.verdict == "verified"]
     return Effect(
-        name,
-        value,
+        *label,
         right=len(right) / pairs,
         grave=share(row.grave for row in rows),
         verified=sum(not row.grave for row in verified) / max(len(right), 1),
@@ -181,7 +180,7 @@ def effect(name: str, value: str, rows: Sequence[PairRow], pairs: int) -> Effect
 
 def align_changed(changes: Changes, pairs: Sequence[tuple[Path, Path]]) -> list[Answer | None]:
     """Runs in a worker: aligns pairs with numbers changed; none of one that ended with an error."""
-    from fleetpose.pose_server.geometry.tuned import replace_in_use, tuned
+    from fleetpose.pose_server.tuned import replace_in_use, tuned
 
     numbers = {name: value for name, value in changes.items() if "." in name}
     before = {name: tuned()[name] for name in numbers}
@@ -215,7 +214,7 @@ def _aligned(changes: Changes, wire_i: Path, wire_j: Path) -> Answer | None:
 def _numbers() -> dict[str, float]:
     """The fitted numbers that can be scaled, by GROUP.NUMBER."""
     import fleetpose.pose_server.workers.run  # noqa: F401  loads all that align
-    from fleetpose.pose_server.geometry.tuned import tuned
+    from fleetpose.pose_server.tuned import tuned
 
     return {name: value for name, value in tuned().items() if isinstance(value, int | float)}
 

@@ -99,11 +99,15 @@ def demo(
     robots: Annotated[int, typer.Option(min=2, help="How many.")] = 6,
     seconds: Annotated[float, typer.Option(help="At most, without a screen.")] = 90,
     headless: Annotated[bool, typer.Option("--headless", help="Without a screen.")] = False,
+    pictures: Annotated[
+        Path | None, typer.Option(help="Folder for pictures of screen and map; no screen then.")
+    ] = None,
 ) -> None:
     """Run a fleet in the synthetic world: on a terminal with the operator's screen."""
     from fleetpose.evaluation.system.demo import run, without_screen
 
-    raise typer.Exit(run(robots, seconds, without_screen(headless)))
+    alone = without_screen(headless) or pictures is not None
+    raise typer.Exit(run(robots, seconds, alone, pictures))
 
 
 @app.command()

@@ -70,8 +70,15 @@ class DemoResult:
         )
 
 
-def run(robots: int, seconds: float, headless: bool) -> int:
-    """Runs the demo; returns the exit code."""
+def run(robots: int, seconds: float, headless: bool, pictures: Path | None = None) -> int:
+    """Runs the demo; returns the exit code.
+
+    Args:
+        robots: how many.
+        seconds: at most, without a screen.
+        headless: without a screen.
+        pictures: folder for those of the documents, made on the way.
+    """
     if robots < 2:
         raise FleetPoseError(f"--robots {robots}: a fleet has at least 2")
     began_s = time.monotonic()
@@ -86,7 +93,7 @@ def run(robots: int, seconds: float, headless: bool) -> int:
         start(fleet, plan, workers, logs / "state", kept_apart(plan.names, logs))
         if not headless:
             return _on_screen(fleet)
-        result = _unattended(fleet, plan, began_s + seconds - CLOSING_S)
+        result = _unattended(fleet, plan, began_s + seconds - CLOSING_S, pictures)
     return report(result, fleet.leftover_processes())
 
 
@@ -107,22 +114,40 @@ def _on_screen(fleet: LocalFleet) -> int:
             screen.terminate()
 
 
-def _unattended(fleet: LocalFleet, plan: FleetPlan, deadline_s: float) -> DemoResult:
+def _unattended(
+    fleet: LocalFleet, plan: FleetPlan, deadline_s: float, pictures: Path | None
+) -> DemoResult:
     """Waits until all robots are located; a simulated operator answers what is asked."""
     with observed(fleet) as observer, ExitStack() as closing:
         operator = SimulatedOperator(observer, plan.truth, CLICKS_PER_MINUTE, only_asked=True)
         closing.callback(operator.close)
         up_s = wait_started(fleet, observer, len(plan.robots))
         print("all processes are up", flush=True)
+        if pictures is not None:  # of the moment before anybody answers
+            others = len(plan.robots) - 1
+            left_s = deadline_s - time.monotonic()
+            wait_running(fleet, lambda: observer.located_counts[-1][1] >= others, left_s)
+            screen = str(pictures / "screen.svg")
+            _draw("hmi_client", "screenshot", "--out", screen, *fleet.connection)
         operator.start()
         if _watch_located(fleet, observer, len(plan.robots), deadline_s):
             wait_running(fleet, lambda: False, min(SETTLE_S, deadline_s - time.monotonic()))
+            if pictures is not None:
+                state = str(fleet.directory / "state")
+                where = str(pictures / "map.png")
+                _draw("pose_server", "export", "--picture", where, "--state-dir", state)
         rows = _last_sample(fleet, observer, plan, deadline_s)
         if operator.clicks:
             print(f"the simulated operator clicked {operator.clicks} times")
         all_located_s = first_time_located(observer.located_counts, len(plan.robots), up_s)
     assert isinstance(plan.truth, WorldTruth)
     return DemoResult(rows, len(plan.robots), plan.truth.radius_m(), all_located_s)
+
+
+def _draw(package: str, *arguments: str) -> None:
+    """Has a command of the project make a picture."""
+    command = [sys.executable, "-P", "-m", f"fleetpose.{package}", *arguments]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 
 
 def _last_sample(

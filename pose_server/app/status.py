@@ -115,7 +115,7 @@ def _waiting(site: Site) -> dict[str, int]:
     return {
         **{line: len(turns) for line, turns in site.pair_queue.lines.items()},
         "clicks": sum(record.clicks_due for record in pairs),
-        "search": sum(record.search_due for record in pairs),
+        "search": sum(record.status.due == "search" for record in pairs),
         "compare": len(site.pair_queue.to_compare),
         "follow": sum(robot.waiting is not None for robot in robots),
     }

@@ -19,7 +19,7 @@ from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.noise import chi2_limit
 from fleetpose.pose_server.geometry.point_pairs import PointPairs
 from fleetpose.pose_server.geometry.spread import check_points, dimension, need_dimension
-from fleetpose.pose_server.geometry.tuned import in_use
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Bools = npt.NDArray[np.bool_]
@@ -29,7 +29,7 @@ OUTLIER_CHI2 = 16.3  # derived: chi-square of 3 dof, 99.9 %
 
 @dataclass(frozen=True)
 class ConsensusSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     contradiction: float = 0.0001  # share of right sets that are more at odds with themselves
 

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.se3 import make_pose, nearest_rotation, transform
 from fleetpose.pose_server.geometry.spread import check_points, dimension, need_dimension
-from fleetpose.pose_server.geometry.tuned import in_use
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Model = Literal["translation", "rigid", "similarity", "affine", "projective"]
@@ -33,7 +33,7 @@ _PROJECTIVE_RANK = 1e-3  # numerical: smallest over largest singular value
 
 @dataclass(frozen=True)
 class DltSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     mirrored: float = 3.0  # a mirror image fits so many times better than any rotation
     # scales beyond it, either way, are another unit: 3.3 feet, 39 inches, 1000 mm

@@ -12,7 +12,7 @@ import small_gicp
 from fleetpose.pose_server.geometry.errors import MissingLibraryError
 from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.geometry.se3 import adjoint, inverse, transform
-from fleetpose.pose_server.geometry.tuned import in_use
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 
@@ -21,7 +21,7 @@ _ITERATIONS = 100  # numerical: of point to point, which needs many
 
 @dataclass(frozen=True)
 class IcpSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     normal_neighbours: int = 12  # of a point, which its plane is fitted to
 

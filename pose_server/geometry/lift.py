@@ -9,14 +9,14 @@ import numpy.typing as npt
 
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.noise import PointNoise, covariances
-from fleetpose.pose_server.geometry.tuned import in_use
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class LiftSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     click_sigma_px: float = 1.5  # of a person's click, in either image
     neighbours: int = 12  # that a point is lifted from, at most

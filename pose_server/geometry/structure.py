@@ -10,14 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from fleetpose.pose_server.geometry.se3 import transform
-from fleetpose.pose_server.geometry.tuned import in_use
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class StructureSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     reach_sigmas: float = 2.0  # of a set of points to each side, along any direction
     least_share: float = 0.001  # of the distance: thinner than that no set of measured points is

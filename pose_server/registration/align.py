@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from fleetpose.pose_server.geometry.methods import IcpMethod
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.diagnostics import with_byproducts, with_suggestions
 from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
@@ -29,6 +28,7 @@ from fleetpose.pose_server.registration.refinement import (
 )
 from fleetpose.pose_server.registration.surfaces import align_surfaces
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult, contested, evaluate_pose
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -36,7 +36,7 @@ Indices = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class AlignSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     usual_poses: int = 2  # poses found by features that are refined
     wide_poses: int = 4  # the same by affine keypoints

@@ -16,7 +16,6 @@ import numpy.typing as npt
 
 from fleetpose.pose_server.geometry.consensus import OUTLIER_CHI2
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.operator_starts import (
     BY_CLICKS,
     FULL_POSE,
@@ -33,6 +32,7 @@ from fleetpose.pose_server.registration.refinement import from_start
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.registration.verdict.hearing import Heard, Hearing, hear
 from fleetpose.pose_server.registration.verdict.unique import on_unique_structure
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Bools = npt.NDArray[np.bool_]
@@ -40,7 +40,7 @@ Bools = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class ClickedSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     # probability of a grave error of clicks that images support: they are for one wrong pose in
     # ten at most

@@ -12,7 +12,6 @@ from fleetpose.pose_server.calibration.depth_comparison import DepthErrors, comp
 from fleetpose.pose_server.calibration.depth_shift import DepthShift, depth_shift
 from fleetpose.pose_server.frontend.moving_points import moving_masks
 from fleetpose.pose_server.geometry.se3 import inverse, transform
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 from fleetpose.pose_server.registration.suggested_points import suggested
@@ -20,11 +19,12 @@ from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.registration.verdict.fitted_model import MODEL
 from fleetpose.pose_server.registration.verdict.grave_probability import contrast
 from fleetpose.pose_server.registration.verdict.mirrored import REASON, is_mirrored
+from fleetpose.pose_server.tuned import in_use
 
 
 @dataclass(frozen=True)
 class DiagnosticsSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     lacking: float = -1.0  # sigmas: what explains less than most right poses may be a mirror image
     far: float = 0.5  # median depth over depth

@@ -22,10 +22,10 @@ from fleetpose.pose_server.geometry.noise import covariances
 from fleetpose.pose_server.geometry.point_pairs import PointPairs
 from fleetpose.pose_server.geometry.se3 import position_covariance
 from fleetpose.pose_server.geometry.spread import check_points, dimension
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 from fleetpose.pose_server.registration.refinement import Start
 from fleetpose.pose_server.registration.verdict.hearing import ByClicks
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 
@@ -36,7 +36,7 @@ FULL_POSE = 3  # derived: correspondences that determine a pose
 
 @dataclass(frozen=True)
 class OperatorStartsSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     most_starts: int = 5  # each costs a refinement, and somebody waits
     translation_sigma: float = 0.03  # of a start whose rotation comes from elsewhere, at least

@@ -18,8 +18,8 @@ from fleetpose.pose_server.geometry.features.matching import (
 )
 from fleetpose.pose_server.geometry.features.refine import NoiseScale, Refinement, refine
 from fleetpose.pose_server.geometry.se3 import inverse, rotation_angle
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -27,7 +27,7 @@ Indices = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class PairSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     ratio: float = 0.9  # distance of the best descriptor over that of the second best
     # of wide sets: with tilted copies the second best is often the same place

@@ -17,16 +17,16 @@ from fleetpose.pose_server.geometry.icp import (
     residual,
 )
 from fleetpose.pose_server.geometry.methods import IcpMethod
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class PairIcpSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     # reach of ICP between surfaces from a pose that matches agree on, px at the median depth
     radius_px: float = 30.0

@@ -17,7 +17,6 @@ import numpy.typing as npt
 from fleetpose.pose_server.geometry import dlt
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.icp import has_open3d
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.operator_starts import FULL_POSE, Clicks, point_pairs
 from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.pair_icp import Registered, registered
@@ -25,13 +24,14 @@ from fleetpose.pose_server.registration.prepared_view import PreparedView
 from fleetpose.pose_server.registration.refinement import Start
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult, regression_error
 from fleetpose.pose_server.registration.verdict.hearing import ByClicks, Hearing
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class PaperSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     # Share of the median depth: two thirds of the distance (.03, or more for noisy depths) at
     # which the regression error counts a point as having no partner. Not fitted: the paper names

@@ -15,7 +15,7 @@ from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.features.shapes import Shapes, shapes_of
 from fleetpose.pose_server.geometry.icp import DenseCloud, dense_cloud
 from fleetpose.pose_server.geometry.noise import PointNoise
-from fleetpose.pose_server.geometry.tuned import in_use
+from fleetpose.pose_server.tuned import in_use
 from fleetpose.protocol.clouds import decode_salient, points_of, strongest
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.messages import NoiseModel, Salient, View, ViewName
@@ -25,7 +25,7 @@ Floats = npt.NDArray[np.floating]
 
 @dataclass(frozen=True)
 class PreparedViewSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     dense_points: int = 10000  # from here on a cloud is dense enough for ICP
     cloud_points: int = 20000  # of a dense cloud, used for its surface and for ICP

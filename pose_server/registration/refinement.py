@@ -15,10 +15,10 @@ from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles
 from fleetpose.pose_server.geometry.icp import gicp
 from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.geometry.se3 import rotation_angle, transform, weighted_mean
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import Pair
 from fleetpose.pose_server.registration.pair_icp import IcpReport, registered
 from fleetpose.pose_server.registration.verdict.evaluate import EVALUATE
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -26,7 +26,7 @@ Indices = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class RefinementSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     enough_matches: int = 300  # to find a pose; all are used to judge it
     least_matches: int = 6  # matches, to look for a pose

@@ -18,7 +18,6 @@ from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles
 from fleetpose.pose_server.geometry.icp import SurfaceFit, by_open3d, gicp, residual
 from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.geometry.se3 import position_covariance
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.pair_icp import IcpReport
 from fleetpose.pose_server.registration.refinement import Start
@@ -30,6 +29,7 @@ from fleetpose.pose_server.registration.verdict.evaluate import (
 from fleetpose.pose_server.registration.verdict.evidence import SurfaceEvidence
 from fleetpose.pose_server.registration.verdict.grave_probability import GRAVE_PROBABILITY
 from fleetpose.pose_server.registration.verdict.words import Verdict
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 
@@ -38,7 +38,7 @@ _TOO_FEW = "too few points to be aligned by their shape, and no image: clicks ca
 
 @dataclass(frozen=True)
 class SurfacesSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     shape_sigma: float = 0.01  # of where a shape is, share of its depth
     noise_bound: float = 0.03  # of a solver that forgives what is wrong alike, share of the depth

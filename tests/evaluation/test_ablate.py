@@ -6,7 +6,7 @@ import pytest
 
 from fleetpose.evaluation.bench.ablate import STAGES, changes_of, run, scaled
 from fleetpose.evaluation.options.recorded import AblateOptions
-from fleetpose.pose_server.geometry.tuned import tuned
+from fleetpose.pose_server.tuned import tuned
 from fleetpose.protocol.errors import FleetPoseError
 from tests.data import shared_data
 

@@ -72,7 +72,7 @@ def alarms_with(world: RingWorld, shots, rig: StereoRig) -> Site:
 
 
 def test_right_calibrations_raise_no_alarm(world, shots):
-    assert alarms_with(world, shots, world.rig).alarms == ()
+    assert alarms_with(world, shots, world.rig).alarms.standing == ()
 
 
 def test_a_baseline_five_percent_too_long_is_named(world, shots):

@@ -240,7 +240,7 @@ def test_a_turned_camera_is_named_with_its_angle():
 
 
 def test_right_calibrations_raise_no_alarm_and_a_new_one_clears_it():
-    assert not site_with({}).alarms
+    assert not site_with({}).alarms.standing
     site = site_with({"r3": lambda view: scaled(view, 1.05)})
     site.depths.forget("r3")
     monitor.judge_calibrations(site)

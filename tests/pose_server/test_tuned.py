@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import fleetpose.pose_server
-from fleetpose.pose_server.geometry.tuned import replace_in_use, tuned
 from fleetpose.pose_server.registration.verdict.words import WORDS, needed_matches
+from fleetpose.pose_server.tuned import replace_in_use, tuned
 
 SERVER = Path(fleetpose.pose_server.__file__).parent
 ORIGINS = ("# derived:", "# cited:", "# numerical:", "# compiled:", "# an order")

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fleetpose.pose_server.geometry.features.kernels import best_around, first_of_each
-from fleetpose.pose_server.geometry.tuned import in_use
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -19,7 +19,7 @@ _BLOCK = 256  # numerical: rows of similarities that stay in the cache
 
 @dataclass(frozen=True)
 class MatchingSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     cell_px: float = 16.0  # width of a cell of the grid in which predicted places are searched, px
     same_place_px: float = 3.0  # candidates nearer to each other are no rivals

@@ -13,14 +13,14 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from fleetpose.pose_server.geometry.se3 import inverse, transform
-from fleetpose.pose_server.geometry.tuned import in_use
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class PatchesSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     centres: int = 250  # patches of a view
     neighbours: int = 16  # points of a patch

@@ -10,7 +10,7 @@ import small_gicp
 from numba import njit
 from scipy.spatial import cKDTree
 
-from fleetpose.pose_server.geometry.tuned import in_use
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -18,7 +18,7 @@ Indices = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class ShapesSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     normal_neighbours: int = 15  # points that a normal is told by
     radius: float = 5.0  # of what a histogram looks at, in resolutions

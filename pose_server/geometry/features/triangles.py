@@ -17,7 +17,7 @@ from numba import njit
 
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.se3 import transform
-from fleetpose.pose_server.geometry.tuned import in_use
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -27,7 +27,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class TrianglesSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     poses: int = 8  # poses that are told, at most
     most_matches: int = 600  # matches that are looked at: compatibility takes time by their square

@@ -14,7 +14,6 @@ from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.features.matching import NO_MATCHES
 from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles
 from fleetpose.pose_server.geometry.se3 import inverse
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 from fleetpose.pose_server.registration.verdict.explained import (
@@ -22,6 +21,7 @@ from fleetpose.pose_server.registration.verdict.explained import (
     empty_parts,
     visible_in,
 )
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -30,7 +30,7 @@ Bools = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class AliasesSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     points: int = 500  # strongest points of a view that are compared with each other
     matches: int = 400  # of these, most alike pairs: matching takes time by their square

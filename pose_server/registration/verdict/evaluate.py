@@ -19,7 +19,6 @@ from fleetpose.pose_server.geometry.se3 import (
     transform,
 )
 from fleetpose.pose_server.geometry.structure import Structure
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.pair_icp import IcpReport
 from fleetpose.pose_server.registration.verdict.evidence import NO_RIVAL, Evidence, SurfaceEvidence
@@ -40,6 +39,7 @@ from fleetpose.pose_server.registration.verdict.rivals import (
     unique_points,
 )
 from fleetpose.pose_server.registration.verdict.words import ELSEWHERE, Verdict, judge
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -47,7 +47,7 @@ Indices = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class EvaluateSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     # Matches share depth errors, so that the raw covariance is too sure: inflated, with a floor,
     # it is right on the average of the recordings at hand (variance factor; radians and shares of

@@ -14,9 +14,9 @@ from fleetpose.pose_server.geometry.features.free_space import hides
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.features.patches import sides_seen
 from fleetpose.pose_server.geometry.se3 import inverse, transform
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -25,7 +25,7 @@ Bools = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class ExplainedSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     parts: int = 8  # across a view's width
     # places expected to be found in a part: none is found by chance in one of twenty

@@ -11,15 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.verdict.evidence import Evidence
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class GraveProbabilitySettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     nothing: float = 0.003  # share of places that is as good as none: its logarithm stays finite
     few: float = 0.003  # share of what is seen through that is as good as none

@@ -19,9 +19,9 @@ import numpy.typing as npt
 from fleetpose.pose_server.geometry.errors import DegenerateGeometryError
 from fleetpose.pose_server.geometry.features.refine import NoiseScale
 from fleetpose.pose_server.geometry.se3 import inverse
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import Pair
 from fleetpose.pose_server.registration.verdict.explained import EXPLAINED, seen_from_both
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 
@@ -31,7 +31,7 @@ Says = Literal["for", "blank", "nothing", "against"]
 
 @dataclass(frozen=True)
 class HearingSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     # of the search around predicted places, share of the depth: clicks are so good
     radius: float = 0.02

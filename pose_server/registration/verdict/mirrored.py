@@ -14,8 +14,8 @@ import numpy.typing as npt
 from fleetpose.pose_server.geometry.features.matching import ratio_matches
 from fleetpose.pose_server.geometry.features.observed import Observed
 from fleetpose.pose_server.geometry.features.triangles import poses_by_triangles
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import Pair
+from fleetpose.pose_server.tuned import in_use
 
 Descriptors = npt.NDArray[np.float32]
 
@@ -24,7 +24,7 @@ _CELLS, _DIRECTIONS = 4, 8  # cited: of a SIFT descriptor (Lowe 2004)
 
 @dataclass(frozen=True)
 class MirroredSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     least_agreeing: int = 25  # matches that must agree once one view is mirrored
     times_more: float = 2.0  # and over those that agree as the views are

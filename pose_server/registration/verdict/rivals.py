@@ -19,7 +19,6 @@ from fleetpose.pose_server.geometry.features.matching import NO_MATCHES, union
 from fleetpose.pose_server.geometry.features.refine import NoiseScale
 from fleetpose.pose_server.geometry.features.triangles import TRIANGLES, poses_by_triangles
 from fleetpose.pose_server.geometry.se3 import inverse
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import PAIR, Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
 from fleetpose.pose_server.registration.verdict.aliases import Alias, aliases_of
@@ -29,6 +28,7 @@ from fleetpose.pose_server.registration.verdict.explained import (
     empty_parts,
     visible_at,
 )
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
@@ -37,7 +37,7 @@ Bools = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class RivalsSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     elsewhere_px: float = 12.0  # nearer points are the same corner, seen twice
     alike_places: int = 3  # of each point, at most: a period has one on either side

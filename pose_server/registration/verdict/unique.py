@@ -12,16 +12,16 @@ import numpy.typing as npt
 
 from fleetpose.pose_server.geometry.point_pairs import PointPairs
 from fleetpose.pose_server.geometry.se3 import inverse, transform
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import Pair
 from fleetpose.pose_server.registration.prepared_view import PreparedView
+from fleetpose.pose_server.tuned import in_use
 
 Floats = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class UniqueSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     near_px: float = 12.0  # what a point looks like is told by a salient point so near
     clearly: float = 0.15  # less alike, as the cosine of two descriptors

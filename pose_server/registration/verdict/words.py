@@ -5,17 +5,17 @@ what determines the pose; each test has its reason. A false `verified` is the wo
 from dataclasses import dataclass
 from typing import Literal
 
-from fleetpose.pose_server.geometry.tuned import in_use
 from fleetpose.pose_server.registration.pair import PAIR
 from fleetpose.pose_server.registration.verdict.evidence import Evidence
 from fleetpose.pose_server.registration.verdict.grave_probability import GRAVE_PROBABILITY, stands
+from fleetpose.pose_server.tuned import in_use
 
 Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
 
 
 @dataclass(frozen=True)
 class WordsSettings:
-    """What this module goes by; where it is from: `geometry.tuned`."""
+    """What this module goes by; where it is from: `pose_server.tuned`."""
 
     least_inliers: int = 8  # matches that agree, of any pose
     most_through: float = 0.25  # share of the cloud that is seen through
