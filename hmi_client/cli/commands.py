@@ -53,7 +53,7 @@ def default(
     if dump_settings:
         given = context.params | {"keys": keys_file}
         in_use = {name: given[name] for name in ClientSettings.model_fields}
-        typer.echo(ClientSettings(**in_use).as_toml(), nl=False)
+        typer.echo(ClientSettings.model_validate(in_use).as_toml(), nl=False)
         raise typer.Exit
     if context.invoked_subcommand is not None:
         return

@@ -1,4 +1,4 @@
-"""Clearing a pair while own clicks in it are on their way, against the server's own book."""
+"""Clearing a pair while own clicks in it are on their way, against the server's own store."""
 
 import pytest
 from hmi_fakes import EPOCH, fleet, view
@@ -21,11 +21,11 @@ class Clock:
 
 
 class Site:
-    """A book and its operators, with updates, receipts and sets that go and come when told."""
+    """A store and its operators, with updates, receipts and sets that go and come when told."""
 
     def __init__(self, *operators: str) -> None:
         self.clock = Clock()
-        self.book = CorrespondenceStore(DepthHistory())
+        self.correspondences = CorrespondenceStore(DepthHistory())
         self.sessions = [OperatorSession(name, clock=self.clock) for name in operators]
         for session in self.sessions:
             session.on_fleet(fleet(6))
@@ -33,15 +33,15 @@ class Site:
     def send(self, session, count=100):
         """The server takes the first updates that are offered."""
         for update in session.open_updates()[:count]:
-            self.book.apply(update, lambda _: True, lift)
+            self.correspondences.apply(update, lambda _: True, lift)
 
     def receipt(self, session):
         updates = session.open_updates()
         if updates:
-            session.on_receipts(self.book.receipts(updates[0], EPOCH))
+            session.on_receipts(self.correspondences.receipts(updates[0], EPOCH))
 
     def tell(self, session):
-        session.on_correspondences(self.book.message(*PAIR, EPOCH))
+        session.on_correspondences(self.correspondences.message(*PAIR, EPOCH))
 
     def settle(self, session):
         for _ in range(50):
