@@ -38,8 +38,10 @@ format: $(READY) ## Formats the code.
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/ruff format .
 
-pictures: $(READY) ## Makes the pictures in docs/ anew, from the demo.
-	@$(BIN)/python -m fleetpose.evaluation demo --pictures docs
+pictures: $(VENV)/.docs ## Makes the pictures in docs/ anew, from the demo.
+	@mkdir -p out/pictures
+	@$(BIN)/python -m fleetpose.evaluation demo --pictures out/pictures
+	@$(BIN)/python scripts/pictures.py out/pictures docs
 
 docs: $(VENV)/.docs ## Builds the site of docs/ in out/site; a link that leads nowhere ends it.
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --clean
