@@ -66,7 +66,8 @@ class Alignment(Message, frozen=True, schema="fleet.alignment.v3", before="fleet
     overlap: NonNegative
     inliers: Count
     start: Name = Field(
-        description="the start it grew from: operator, dlt, previous, graph, features, wide, shape, identity"
+        description="the start it grew from: operator, dlt, previous, graph, features, wide, "
+        "shape, identity"
     )
     timings_ms: dict[Text, NonNegative]
     p_grave: Probability = Field(1.0, description="that T_i_j is gravely off, by all evidence")
