@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: help setup demo test test-fast lint format pictures docs clean
+.PHONY: help setup demo test suite test-fast lint format pictures docs clean
 
 help: ## Shows what there is.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -21,7 +21,10 @@ $(READY): pyproject.toml constraints.txt scripts/venv.sh scripts/links.sh
 demo: $(READY) ## Six robots around a building find each other; q ends it.
 	@$(BIN)/python -m fleetpose.evaluation demo
 
-test: $(READY) lint ## Lint, types, import rules and all tests.
+test: $(READY) ## Lint, types, import rules and all tests; the first three beside the last.
+	@$(MAKE) --no-print-directory -j2 lint suite
+
+suite: $(READY)
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 test-fast: $(READY) ## What needs neither network nor recordings: under a minute.
