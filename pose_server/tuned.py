@@ -1,9 +1,8 @@
 """Numbers that were fitted to recordings and not derived: fields of settings objects, each beside
 the code that goes by it, with its unit.
 
-Unless a comment says otherwise they were set by hand on church_herzjesu, ring_temple,
-rgbd_7scenes_redkitchen_A and the synthetic ring. What a fifth more and less of one costs prints
-`pose-eval ablate GROUP.NUMBER`.
+Where no comment says which recordings a number was set on, that was not written down. What a fifth
+more and less of one costs on a recording prints `pose-eval ablate GROUP.NUMBER`.
 """
 
 from collections.abc import Mapping

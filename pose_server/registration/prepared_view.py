@@ -31,7 +31,7 @@ class PreparedViewSettings:
     cloud_points: int = 20000  # of a dense cloud, used for its surface and for ICP
     sample_points: int = 1000  # points of a cloud that free space and agreement are told by
     matched_points: int = 8000  # salient points, at most: matching takes memory by their square
-    coarser: float = 1.4  # resolution of ICP by hand over that of a view
+    coarser: float = 1.4  # resolution of a rough ICP over that of the usual one
     shape_resolution: float = 0.025  # share of the depth
     # of gravity by an accelerometer at rest, where the robot states none
     up_sigma_rad: float = 0.02
