@@ -13,12 +13,9 @@ from fleetpose.evaluation.bench.pairs.command import limited, pairs_of, scored
 from fleetpose.evaluation.bench.pairs.row import PairRow
 from fleetpose.evaluation.bench.pairs.worker import (
     Answer,
-    answer_of,
+    align,
     forget_views,
-    prepared,
-    timed,
     widen,
-    widened,
 )
 from fleetpose.evaluation.bench.working import bench_of
 from fleetpose.evaluation.data.opening import median_depth_m
@@ -196,19 +193,10 @@ def align_changed(changes: Changes, pairs: Sequence[tuple[Path, Path]]) -> list[
 
 
 def _aligned(changes: Changes, wire_i: Path, wire_j: Path) -> Answer | None:
-    from fleetpose.pose_server.registration.align import align_pair, align_wide, is_settled
-
-    icp = changes.get("icp", "gicp")
     try:
-        (i, _), (j, _) = prepared(wire_i), prepared(wire_j)
-        result, ms = timed(lambda: align_pair(i, j, icp=icp))
-        if changes.get("affine", True) and not is_settled(result):
-            i, j = widened(wire_i), widened(wire_j)
-            result, more_ms = timed(lambda: align_wide(i, j, result, icp=icp))
-            ms += more_ms
+        return align(wire_i, wire_j, changes.get("icp", "gicp"), changes.get("affine", True))
     except (FleetPoseError, ValueError, IndexError, np.linalg.LinAlgError):
         return None
-    return answer_of(result, ms)
 
 
 def _numbers() -> dict[str, float]:

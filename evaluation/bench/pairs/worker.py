@@ -17,6 +17,7 @@ from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.evaluation.metrics.scoring import OverlapCloud, overlap
 
 if TYPE_CHECKING:
+    from fleetpose.pose_server.geometry.methods import IcpMethod
     from fleetpose.pose_server.registration.prepared_view import PreparedView
     from fleetpose.pose_server.registration.verdict.evaluate import PairResult
     from fleetpose.pose_server.registration.verdict.hearing import Hearing
@@ -154,16 +155,22 @@ def prepare_ms(wire: Path) -> float:
     return prepared(wire)[1]
 
 
-def align(wire_i: Path, wire_j: Path) -> Answer:
-    """Aligns two views, automatic starts only; what is done once per view is not timed."""
+def align(wire_i: Path, wire_j: Path, icp: "IcpMethod" = "gicp", affine: bool = True) -> Answer:
+    """Aligns two views, automatic starts only; what is done once per view is not timed.
+
+    Args:
+        wire_i, wire_j: what their robots sent.
+        icp: how clouds are brought together.
+        affine: whether affine keypoints are asked for where the usual ones settle nothing.
+    """
     from fleetpose.pose_server.registration.align import align_pair, align_wide, is_settled
 
     (i, _), (j, _) = prepared(wire_i), prepared(wire_j)
-    result, align_ms = timed(lambda: align_pair(i, j))
-    if is_settled(result):
+    result, align_ms = timed(lambda: align_pair(i, j, icp=icp))
+    if is_settled(result) or not affine:
         return answer_of(result, align_ms)
     wide_i, wide_j = widened(wire_i), widened(wire_j)
-    result, wide_ms = timed(lambda: align_wide(wide_i, wide_j, result))
+    result, wide_ms = timed(lambda: align_wide(wide_i, wide_j, result, icp=icp))
     return answer_of(result, align_ms + wide_ms, wide=True)
 
 
