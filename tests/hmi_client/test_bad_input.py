@@ -158,7 +158,8 @@ def test_damaged_input_takes_the_place_of_nothing_good(client_of, serve):
             (KEYS.alignment("r1", "r2"), alignment),
             (KEYS.correspondences("r1", "r2"), known),
         ):
-            publisher = server.link.latched(key, history=10)
+            # block: a busy machine would else drop the first one on its way
+            publisher = server.link.latched(key, block=True, history=10)
             publisher.put(pack(message), encoding_of(type(message)))
             for k in range(5):
                 publisher.put(bytes([k]) * 9, encoding_of(type(message)))
