@@ -48,6 +48,10 @@ def run(
         print(loaded.as_toml(), end="")
         return
     require("server" + ",cluster" * bool(loaded.cluster) + ",metrics" * bool(loaded.metrics))
+    from fleetpose.pose_server.workers import preload
+
+    if not loaded.cluster:
+        preload.start()  # before what takes seconds to import
     from fleetpose.pose_server.app.build import build
     from fleetpose.pose_server.app.process import serve
 

@@ -1,25 +1,20 @@
 """Builds a service from its settings."""
 
 import logging
-import os
 from pathlib import Path
 
-# one thread per process: the workers are the parallelism
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
-
-from fleetpose.pose_server.app.service import Service  # noqa: E402
-from fleetpose.pose_server.correspondences.journal import Journal  # noqa: E402
-from fleetpose.pose_server.geometry.errors import MissingLibraryError  # noqa: E402
-from fleetpose.pose_server.geometry.icp import open3d  # noqa: E402
-from fleetpose.pose_server.persistence.graph_writer import stored_graph  # noqa: E402
-from fleetpose.pose_server.persistence.restore import folder_files, restored_site  # noqa: E402
-from fleetpose.pose_server.scheduling.settings import Weights  # noqa: E402
-from fleetpose.pose_server.settings import ServerSettings  # noqa: E402
-from fleetpose.protocol.errors import FleetPoseError  # noqa: E402
-from fleetpose.protocol.keys import checked_name, ordered_pair  # noqa: E402
-from fleetpose.protocol.logs import log_to_stderr  # noqa: E402
-from fleetpose.protocol.transport import Link, SessionSettings, open_session  # noqa: E402
+from fleetpose.pose_server.app.service import Service
+from fleetpose.pose_server.correspondences.journal import Journal
+from fleetpose.pose_server.geometry.errors import MissingLibraryError
+from fleetpose.pose_server.geometry.icp import open3d
+from fleetpose.pose_server.persistence.graph_writer import stored_graph
+from fleetpose.pose_server.persistence.restore import folder_files, restored_site
+from fleetpose.pose_server.scheduling.settings import Weights
+from fleetpose.pose_server.settings import ServerSettings
+from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.keys import checked_name, ordered_pair
+from fleetpose.protocol.logs import log_to_stderr
+from fleetpose.protocol.transport import Link, SessionSettings, open_session
 
 log = logging.getLogger("pose_server")
 

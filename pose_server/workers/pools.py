@@ -5,23 +5,23 @@ behind frames; it is idle most of the time. Every worker is a pool of its own, s
 takes no other job with it.
 """
 
-import ctypes
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from multiprocessing import parent_process
 from typing import Protocol
 
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.workers import preload
 from fleetpose.pose_server.workers.jobs import Done, Job
 from fleetpose.pose_server.workers.run import run_job, use_one_thread
 
 MAX_TRIES = 2
 NICE = 5  # of workers whose jobs nobody waits for
-_PR_SET_PDEATHSIG = 1
 
 
 class Pool(Protocol):
@@ -159,19 +159,24 @@ def _is_free(last: "Future[PairResult] | None") -> bool:
 def _executor(nice: int) -> ProcessPoolExecutor:
     """One worker, started."""
     executor = ProcessPoolExecutor(
-        1, mp_context=get_context("spawn"), initializer=_start_worker, initargs=(os.getpid(), nice)
+        1, mp_context=preload.start(), initializer=_start_worker, initargs=(nice,)
     )
     executor.submit(os.getpid)
     return executor
 
 
-def _start_worker(parent: int, nice: int) -> None:
-    """One thread per worker, ends with its parent, and leaves Ctrl-C to it."""
+def _start_worker(nice: int) -> None:
+    """One thread per worker, ends with the server, and leaves Ctrl-C to it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    libc = ctypes.CDLL(None)
-    libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
-        os._exit(1)
+    threading.Thread(target=_end_with_server, daemon=True).start()
     os.nice(nice)
     use_one_thread()
+
+
+def _end_with_server() -> None:
+    """However that ends: the process that workers are forked from lives as long as one of them."""
+    server = parent_process()
+    assert server is not None
+    server.join()
+    os._exit(1)
