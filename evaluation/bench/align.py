@@ -73,12 +73,13 @@ def run(options: AlignOptions, out: Path) -> dict[str, Any]:
         bench = Bench(ours, workers, Path(folder), progress)
         pairs = limited(_alignable(recording, options.min_overlap, bench), options.limit)
         views = {view.index: view for pair in pairs for view in pair}
-        wires, robot_ms = bench.on_the_wire(recording, views.values())
+        wires, robot_ms = bench.on_the_wire(recording, views.values(), images=options.images)
         robot_ms_of = dict(zip(views, robot_ms, strict=True))
         missing = theirs.submit(missing_peers).result()
         for name, reason in missing.items():
             progress.console.print(f"without {name}: {reason}")
-        peers = [peer.name for peer in PEERS if peer.name not in missing]
+        able = [peer for peer in PEERS if options.images or not peer.needs_images]
+        peers = [peer.name for peer in able if peer.name not in missing]
         task = progress.add_task("pairs", total=len(pairs))
 
         def by_all(pair: tuple[TrueView, TrueView]) -> dict[str, Timed]:
@@ -102,6 +103,7 @@ def run(options: AlignOptions, out: Path) -> dict[str, Any]:
     summary = {
         "median_depth_m": median_m,
         "pairs": len(pairs),
+        "images": options.images,
         **least,
         **asdict(bars),
         "voxel_m": voxel_m,
@@ -109,7 +111,7 @@ def run(options: AlignOptions, out: Path) -> dict[str, Any]:
         "load_average": os.getloadavg()[0],  # well above the workers: others share the cores
         "methods": {row["method"]: row for row in rows},
         # At the scale where a voxel is 5 cm.
-        "settings": {peer.name: peer.settings for peer in PEERS},
+        "settings": {peer.name: peer.settings for peer in able},
         "missing": missing,
     }
     output.write_summary(out, summary)

@@ -65,6 +65,7 @@ class Peer:
         align: from the prepared views i and j to T_i_j (4, 4).
         settings: what is used, to be shown beside the results.
         load: loads its library; raises a PeerMissingError where it is not there.
+        needs_images: whether clouds alone are not enough.
     """
 
     name: str
@@ -72,6 +73,7 @@ class Peer:
     align: Callable[[Any, Any], Floats]
     settings: dict[str, Any]
     load: Callable[[], Any] = lambda: None
+    needs_images: bool = False
 
 
 @cache
@@ -294,7 +296,7 @@ _BY_RANSAC = _FPFH | {"ransac": {"mutual": True, **_RANSAC}} | _ICP
 _BY_FGR = _FPFH | {"fgr": {"distance_m": FGR_DISTANCE_M}} | _ICP
 
 PEERS = (
-    Peer("sift_ransac_icp", sift_view, sift_ransac_icp, _BY_SIFT, _open3d),
+    Peer("sift_ransac_icp", sift_view, sift_ransac_icp, _BY_SIFT, _open3d, True),
     Peer("open3d_ransac_icp", open3d_view, ransac_icp, _BY_RANSAC, _open3d),
     Peer("open3d_fgr_icp", open3d_view, fgr_icp, _BY_FGR, _open3d),
     Peer("kiss_gicp", kiss_view, kiss_gicp, _KISS),

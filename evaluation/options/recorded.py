@@ -83,6 +83,7 @@ class AlignOptions(RecordedOptions):
     workers: int = told("Pairs at a time; more than one spoils the times.", 1, min=1)
     limit: int | None = told("So many pairs, spread evenly.", min=1)
     min_overlap: float = told("RGB-D: pairs that overlap less are left out.", 0.3, min=0, max=1)
+    images: bool = told("Robots have images, or clouds alone.", True, "--images/--without-images")
 
 
 @dataclass(frozen=True)
