@@ -3,7 +3,7 @@
 import typer
 
 from fleetpose.evaluation.options.building import of
-from fleetpose.evaluation.options.fleets import SynthOptions
+from fleetpose.evaluation.options.fleets import NeighboursOptions, SynthOptions
 from fleetpose.evaluation.options.recorded import (
     MapOptions,
     Out,
@@ -43,6 +43,20 @@ def fleet_map(options: MapOptions, out: Out) -> None:
     Writes map.ply, map.png and summary.json.
     """
     from fleetpose.evaluation.bench.mapping.command import run
+
+    run(options, out)
+
+
+@app.command()
+@of(NeighboursOptions)
+def neighbours(options: NeighboursOptions, out: Out) -> None:
+    """Ask the server's index of keyframes for the neighbours of each of a thousand robots, in as
+    many synthetic towns as they fill: how many it finds, and how long that takes beside comparing
+    all with all.
+
+    Writes neighbours.csv and summary.json. Making a thousand views takes ten minutes on two cores.
+    """
+    from fleetpose.evaluation.bench.neighbours import run
 
     run(options, out)
 

@@ -36,6 +36,16 @@ class SynthOptions:
 
 
 @dataclass(frozen=True)
+class NeighboursOptions:
+    """What `pose-eval neighbours` is asked for."""
+
+    robots: int = told("How many.", 1000, min=2)
+    town: int = told("Robots on the ring of each town.", 24, min=8, max=72)
+    seed: int = told("Of the first town; each has textures of its own.", 0)
+    workers: int = told("Processes that make the views.", 2, min=1)
+
+
+@dataclass(frozen=True)
 class WorldOptions:
     """Which world is served: the town square with robots on a ring, or a plan that fools, whose
     robots stand still.

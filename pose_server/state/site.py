@@ -17,6 +17,7 @@ from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose
 from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.geometry.se3 import compose_covariance, inverse
 from fleetpose.pose_server.pose_graph.types import Edge, EdgeKey, FleetSolution
+from fleetpose.pose_server.retrieval.view_index import ViewIndex
 from fleetpose.pose_server.scheduling.settings import Weights
 from fleetpose.pose_server.scheduling.weighted_round_robin import WeightedRoundRobin
 from fleetpose.pose_server.settings import RecipeName
@@ -84,6 +85,7 @@ class Site:
         alarms: about calibrations and clocks.
         doubts: which robots' poses are not believed, and why.
         anchoring: which origins the fleet has had.
+        view_index: keyframes by their looks.
     """
 
     correspondences: CorrespondenceStore
@@ -122,6 +124,7 @@ class Site:
     clicks: ClickCaches = field(default_factory=ClickCaches)
     alarms: Alarms = field(default_factory=Alarms)
     doubts: Doubts = field(default_factory=Doubts)
+    view_index: ViewIndex = field(default_factory=ViewIndex)
     anchoring: Anchoring = field(default_factory=Anchoring)
     _similarities: dict[ViewPair, float] = field(default_factory=dict)
     _edge_counts: Counter[RobotPair] = field(default_factory=Counter[RobotPair])

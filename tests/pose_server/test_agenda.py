@@ -7,7 +7,7 @@ from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.geometry.se3 import inverse
 from fleetpose.pose_server.pose_graph.types import Edge
-from fleetpose.pose_server.scheduling import pair_queue
+from fleetpose.pose_server.scheduling import pair_queue, proposals
 from fleetpose.pose_server.scheduling.pair_queue import note_promise, pick
 from fleetpose.pose_server.scheduling.proposals import (
     LEAST_OVERLAP,
@@ -68,6 +68,19 @@ def test_views_that_look_alike_may_join_and_others_are_unlikely():
     assert pair == ("r1", "r2")
     assert {one.robot for one in views} == {"r1", "r2"}
     assert "may join" in site.pair_queue.picked and "r1 - r2" in site.pair_queue.picked
+
+
+def test_of_a_large_fleet_only_what_the_index_finds_alike_is_compared(monkeypatch):
+    monkeypatch.setattr(proposals, "_ALL_COMPARED", 5)
+    monkeypatch.setattr(proposals, "MOST_ALIKE", 2)
+    rng = np.random.default_rng(3)
+    others = [
+        view(rng, f"s{k}", walls(rng, 300), descriptors(rng, 300), np.eye(4)) for k in range(20)
+    ]
+    site = told(site_of(*others, *pair_of_views(rng, turned(10))))
+    assert line_of(site, "r1", "r2") == "joining"
+    compared = [pair for pair in site.pairs if "r2" in pair]
+    assert ("r1", "r2") in compared and len(compared) == 2
 
 
 def test_where_poses_are_known_only_what_sees_the_same_is_worth_an_alignment():
