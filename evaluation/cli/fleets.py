@@ -56,7 +56,7 @@ def neighbours(options: NeighboursOptions, out: Out) -> None:
 
     Writes neighbours.csv and summary.json. Making a thousand views takes ten minutes on two cores.
     """
-    from fleetpose.evaluation.bench.neighbours import run
+    from fleetpose.evaluation.bench.scale.neighbours import run
 
     run(options, out)
 

@@ -10,6 +10,7 @@ from fleetpose.evaluation.options.recorded import (
     AblateOptions,
     AlignOptions,
     ClicksOptions,
+    ClusterOptions,
     Out,
     PairsOptions,
     PersistOptions,
@@ -59,6 +60,17 @@ def ablate(
     from fleetpose.evaluation.bench.ablate import run
 
     run(options, names or [], out)
+
+
+@app.command()
+@of(ClusterOptions)
+def cluster(options: ClusterOptions, out: Out) -> None:
+    """Align pairs on Dask clusters of one, two, four workers on this machine: pairs per second,
+    where more workers stop helping, and what one that dies costs.
+    """
+    from fleetpose.evaluation.bench.scale.cluster import run
+
+    run(options, out)
 
 
 @app.command()

@@ -87,6 +87,14 @@ class AlignOptions(RecordedOptions):
 
 
 @dataclass(frozen=True)
+class ClusterOptions(RecordedOptions):
+    """What `pose-eval cluster` is asked for."""
+
+    workers: tuple[int, ...] = told("Numbers of Dask workers.", (1, 2, 4), text=Text(numbers))
+    limit: int = told("So many pairs, spread evenly.", 120, min=2)
+
+
+@dataclass(frozen=True)
 class RingOptions(RecordedOptions):
     """What `pose-eval ring` is asked for."""
 

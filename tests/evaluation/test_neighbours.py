@@ -1,6 +1,6 @@
 """The bench of the index: its truth is of places, and it counts what is found of it."""
 
-from fleetpose.evaluation.bench import neighbours
+from fleetpose.evaluation.bench.scale import neighbours
 from fleetpose.evaluation.options.fleets import NeighboursOptions
 
 
