@@ -21,15 +21,18 @@ def pair_cells(site: Site, now_s: float, known: CellCache) -> tuple[PairCell, ..
         known: cells that were made before; the new ones are put there.
     """
     roots = _roots(site)
-    names = sorted(
-        {name for name, robot in site.robots.items() if robot.track.newest is not None}
-        | {name for pair in site.correspondences.pairs() for name in pair if name in site.robots}
-    )
     clicks = {pair: len(site.correspondences.of(*pair)) for pair in site.correspondences.pairs()}
+    clicked = {name for pair in clicks for name in pair}
+    there = {
+        name
+        for name, robot in site.robots.items()
+        if robot.track.newest is not None or name in clicked
+    }
+    tried = {pair for pair, record in site.pairs.items() if record.last is not None}
     cells = (
         _cell(site, (a, b), clicks.get((a, b), 0), roots, now_s, known)
-        for k, a in enumerate(names)
-        for b in names[k + 1 :]
+        for a, b in sorted(tried | clicks.keys())
+        if a != b and a in there and b in there
     )
     return tuple(cell for cell in cells if cell is not None)
 

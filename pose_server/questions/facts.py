@@ -57,10 +57,13 @@ def _ranked(site: Site, newest: dict[str, ViewName]) -> tuple[Question, ...]:
     assert site.solution is not None
     depth_m = float(np.median([site.views[view].median_depth_m for view in newest.values()]))
     known = {name: view for name, view in newest.items() if view in site.solution.nodes}
+    wanted = [
+        (a, b)
+        for a, b in sorted(site.pairs.keys() | site.skip)
+        if a != b and a in known and b in known and _is_up_to_the_operator(site, a, b)
+    ]
     facts = [
-        _facts(site, pair, known, chance)
-        for pair, chance in _chances(site, known).items()
-        if _is_up_to_the_operator(site, *pair)
+        _facts(site, pair, known, chance) for pair, chance in _chances(site, known, wanted).items()
     ]
     ranked = rank_questions(
         site.solution,
@@ -82,51 +85,82 @@ def _is_up_to_the_operator(site: Site, a: str, b: str) -> bool:
     return record is not None and bool(record.tried) and not record.untried and not record.running
 
 
-def _chances(site: Site, newest: dict[str, ViewName]) -> dict[RobotPair, float]:
+def _chances(
+    site: Site, newest: dict[str, ViewName], wanted: Sequence[RobotPair]
+) -> dict[RobotPair, float]:
     """How likely each two robots see enough of the same: by the solution where they are joined, by
     what aligning the two parts of the fleet left as hypotheses where they are not.
     """
     assert site.solution is not None
+    roots = {name: site.solution.nodes[view].root for name, view in newest.items()}
+    looks = {name: _look(site, view) for name, view in newest.items()}
     parts: dict[ViewName, list[str]] = defaultdict(list)
-    for name, view in newest.items():
-        parts[site.solution.nodes[view].root].append(name)
-    looks = {root: [_look(site, newest[n]) for n in names] for root, names in parts.items()}
+    for name, root in roots.items():
+        parts[root].append(name)
     found: dict[RobotPair, float] = {}
-    roots = list(parts)
-    for k, a in enumerate(roots):
-        seen = overlap_prior.overlap_probability(
-            *overlap_prior.apart(looks[a], looks[a], np.eye(4))
-        )
-        seen = overlap_prior.if_aligned(seen, _aligned_so(site, parts[a], newest))
-        for m, first in enumerate(parts[a]):
-            for n in range(m + 1, len(parts[a])):
-                pair = ordered_pair(first, parts[a][n])
-                found[pair] = float(seen[m, n])
-        for b in roots[k + 1 :]:
-            tries = _tries(site, parts[a], parts[b], newest)
-            table = overlap_prior.overlap_probabilities(looks[a], looks[b], tries)
-            for m, first in enumerate(parts[a]):
-                for n, second in enumerate(parts[b]):
-                    found[ordered_pair(first, second)] = float(table[m, n])
+    joined: dict[str, list[str]] = defaultdict(list)
+    tables: dict[frozenset[ViewName], dict[RobotPair, float]] = {}
+    for first, second in wanted:
+        a, b = roots[first], roots[second]
+        if a == b:
+            joined[first].append(second)
+            continue
+        between = frozenset((a, b))
+        if between not in tables:
+            tables[between] = _chances_apart(site, parts[a], parts[b], newest, looks)
+        found[first, second] = tables[between][first, second]
+    for first, others in joined.items():
+        found |= _chances_joined(site, first, others, newest, looks)
     return found
 
 
-def _aligned_so(
-    site: Site, names: Sequence[str], newest: dict[str, ViewName]
-) -> npt.NDArray[np.bool_]:
-    """(N, N) whether aligning two joined robots found them to stand as the solution has them."""
-    aligned = np.zeros((len(names), len(names)), bool)
-    for m, first in enumerate(names):
-        for n in range(m + 1, len(names)):
-            record = site.pairs.get(ordered_pair(first, names[n]))
-            views = (newest[first], newest[names[n]])
-            if record is None or record.best is None or record.best.T_i_j is None:
-                continue
-            T, known = _carried(site, record, views), site.relative(*views)
-            if T is not None and known is not None:
-                depth_m = site.views[views[0]].median_depth_m
-                aligned[m, n] = overlap_prior.alike(T, known, depth_m)
-    return aligned
+def _chances_joined(
+    site: Site,
+    first: str,
+    others: Sequence[str],
+    newest: dict[str, ViewName],
+    looks: dict[str, Look],
+) -> dict[RobotPair, float]:
+    """Of a robot and others of its part, which come after it in order."""
+    seen = overlap_prior.overlap_probability(
+        *overlap_prior.apart([looks[first]], [looks[other] for other in others], np.eye(4))
+    )
+    pairs = [(first, other) for other in others]
+    aligned = np.array([[_aligned_so(site, pair, newest) for pair in pairs]])
+    chances = overlap_prior.if_aligned(seen, aligned)[0]
+    return dict(zip(pairs, map(float, chances), strict=True))
+
+
+def _chances_apart(
+    site: Site,
+    names_a: Sequence[str],
+    names_b: Sequence[str],
+    newest: dict[str, ViewName],
+    looks: dict[str, Look],
+) -> dict[RobotPair, float]:
+    """Of all pairs between two parts: what is known of one pair tells of the others."""
+    table = overlap_prior.overlap_probabilities(
+        [looks[name] for name in names_a],
+        [looks[name] for name in names_b],
+        _tries(site, names_a, names_b, newest),
+    )
+    return {
+        ordered_pair(first, second): float(table[m, n])
+        for m, first in enumerate(names_a)
+        for n, second in enumerate(names_b)
+    }
+
+
+def _aligned_so(site: Site, pair: RobotPair, newest: dict[str, ViewName]) -> bool:
+    """Whether aligning two joined robots found them to stand as the solution has them."""
+    record = site.pairs.get(pair)
+    views = (newest[pair[0]], newest[pair[1]])
+    if record is None or record.best is None or record.best.T_i_j is None:
+        return False
+    T, known = _carried(site, record, views), site.relative(*views)
+    if T is None or known is None:
+        return False
+    return overlap_prior.alike(T, known, site.views[views[0]].median_depth_m)
 
 
 def _look(site: Site, view: ViewName) -> Look:

@@ -23,6 +23,8 @@ from fleetpose.pose_server.state.site import Site
 from fleetpose.protocol.keys import RobotPair, ordered_pair
 from fleetpose.protocol.messages import ViewName
 
+_LAID_AT_ONCE = 100  # keyframes; the state is told in between
+
 
 def note_keyframe(site: Site, view: ViewName) -> None:
     """A new keyframe will be laid beside the others when the fleet is solved."""
@@ -44,8 +46,10 @@ def update_priorities(site: Site, now_s: float) -> None:
                 if any(site.joined(*views) != joined for views in _waiting(site, record)):
                     _think_again(site, record)
                     enqueue(site, pair, now_s)
-    for view in queue.take_fresh(site.views, solution.nodes):
+    for view in queue.take_fresh(site.views, solution.nodes, _LAID_AT_ONCE):
         _propose_pairs(site, view, now_s)
+    if queue.any_fresh(solution.nodes):
+        site.want_solution()
 
 
 def compare_some(site: Site, now_s: float, most: int = 10) -> bool:

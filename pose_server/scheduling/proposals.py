@@ -24,7 +24,7 @@ ENOUGH_EDGES = 8  # between two joined robots; more keyframe pairs add little
 BEST_OF_ROBOT = 2  # keyframes of another robot that are kept for one view
 LEAST_OVERLAP = 0.15  # expected; less is not worth an alignment
 _COMPARED = 6  # keyframes of a robot that is not joined: the newest, and some from before
-_ALL_COMPARED = 500  # keyframes; 72 robots have no more, and comparing them takes 0.2 s
+_ALL_COMPARED = 80  # robots; comparing a view with six of each takes 0.2 s then
 MOST_ALIKE = 60  # keyframes of a larger fleet
 _GRID = 4  # by so many rays in each direction two views are laid on each other
 _WIDE_COSINE = 0.35  # optical axes further apart than 70 deg are not worth trying
@@ -55,20 +55,20 @@ def by_poses(site: Site, view: ViewName) -> dict[ViewName, float]:
 
 def to_compare(site: Site, view: ViewName) -> list[ViewName]:
     """Keyframes outside of the view's component whose looks are to be compared with its: some of
-    each robot, or where these are too many, those that the index finds most alike.
+    each robot, or where there are many robots, those that the index finds most alike.
     """
     assert site.solution is not None
     component = set(site.solution.components[site.solution.nodes[view].root])
     alike = _indexed(site, view)
+    if len(site.robots) > _ALL_COMPARED:
+        nodes = site.solution.nodes
+        apart = (k for k in alike if k in nodes and k not in component and k in site.views)
+        return list(islice(apart, MOST_ALIKE))[::-1]  # the last one is compared first
     found = []
     for robot in site.robots.values():
         apart = [k for k in robot.track.keyframes if k not in component and k in site.views]
         found += _some(apart, _COMPARED)
-    if len(found) <= _ALL_COMPARED:
-        return found
-    nodes = site.solution.nodes
-    apart = (k for k in alike if k in nodes and k not in component and k in site.views)
-    return list(islice(apart, MOST_ALIKE))[::-1]  # what is compared later is compared first
+    return found
 
 
 def _indexed(site: Site, view: ViewName) -> list[ViewName]:

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Container
 from dataclasses import dataclass, field
+from itertools import islice
 
 from fleetpose.pose_server.scheduling.settings import Line
 from fleetpose.pose_server.scheduling.weighted_round_robin import Pick, WeightedRoundRobin
@@ -49,15 +50,21 @@ class PairQueue:
         """A keyframe is to be laid beside the others."""
         self.fresh[view] = None
 
-    def take_fresh(self, kept: Container[ViewName], solved: Container[ViewName]) -> list[ViewName]:
-        """Takes the keyframes that the solution knows by now; those that are not kept are left
+    def take_fresh(
+        self, kept: Container[ViewName], solved: Container[ViewName], most: int
+    ) -> list[ViewName]:
+        """Takes so many keyframes that the solution knows by now; those that are not kept are left
         out.
         """
         self.fresh = {view: None for view in self.fresh if view in kept}
-        taken = [view for view in self.fresh if view in solved]
+        taken = list(islice((view for view in self.fresh if view in solved), most))
         for view in taken:
             del self.fresh[view]
         return taken
+
+    def any_fresh(self, solved: Container[ViewName]) -> bool:
+        """Whether keyframes are left that the solution knows."""
+        return any(view in solved for view in self.fresh)
 
     def see_components(self, roots: frozenset[ViewName]) -> bool:
         """Which components there are by their roots; whether others than before."""
