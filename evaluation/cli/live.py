@@ -12,6 +12,7 @@ from fleetpose.evaluation.options.fleets import (
     HmiOptions,
     OperateOptions,
     RestartsOptions,
+    SoakOptions,
     WorldOptions,
 )
 from fleetpose.evaluation.options.recorded import Out
@@ -51,6 +52,20 @@ def restarts(options: RestartsOptions, out: Out) -> None:
     and it is said.
     """
     from fleetpose.evaluation.system.restarts import run
+
+    run(options, out)
+
+
+@app.command()
+@of(SoakOptions)
+def soak(options: SoakOptions, out: Out) -> None:
+    """Let a fleet of walking robots run for hours under an operator who clicks, while processes are
+    killed and frozen one after the other. Tells what was lost or doubled, who was gravely located,
+    how long views waited for poses, and how fast each process grows.
+
+    Writes seconds.csv, troubles.csv, soak.png and summary.json.
+    """
+    from fleetpose.evaluation.system.soak.command import run
 
     run(options, out)
 

@@ -205,6 +205,16 @@ class FaultOptions:
 
 
 @dataclass(frozen=True)
+class SoakOptions:
+    """What `pose-eval soak` is asked for."""
+
+    hours: float = told("How long, after the fleet has come up.", 1.0, min=0.001)
+    robots: int = told("That walk in the synthetic world.", 4, min=3, max=16)
+    trouble_s: float = told("Seconds between two troubles.", 45.0, "--every", min=1.0)
+    seed: int = told("Of the world, and of what happens to whom.", 0)
+
+
+@dataclass(frozen=True)
 class HmiOptions:
     """What `pose-eval hmi` is asked for."""
 

@@ -20,8 +20,8 @@ class Memory:
 
     def note(self, fleet: LocalFleet, robots: Sequence[str]) -> None:
         """Notes what the processes use now."""
-        self.agents_mb.append(max(_resident_mb(fleet.pid(robot)) for robot in robots))
-        self.server_mb.append((time.monotonic(), _resident_mb(fleet.pid("server"))))
+        self.agents_mb.append(max(resident_mb(fleet.pid(robot)) for robot in robots))
+        self.server_mb.append((time.monotonic(), resident_mb(fleet.pid("server"))))
 
     def agent_peak_mb(self) -> float | None:
         return max(self.agents_mb, default=None)
@@ -37,7 +37,7 @@ class Memory:
         return float(60.0 * np.polyfit(later[:, 0] - later[0, 0], later[:, 1], 1)[0])
 
 
-def _resident_mb(pid: int) -> float:
+def resident_mb(pid: int) -> float:
     """Of a process and all processes under it; 0 for one that is gone."""
     import psutil
 

@@ -27,8 +27,8 @@ CLICKS_PER_S = 60.0
 UP_WITHIN_S = 60.0
 SETTLED_WITHIN_S = 30.0
 _PAUSE_S = (0.2, 1.5)  # between everything running again and the next kill
-_TARGETS = ("server",) * 4 + ("router", "router", "robot", "worker", "desk", "desk")
-_DESK = "desk"
+TARGETS = ("server",) * 4 + ("router", "router", "robot", "worker", "desk", "desk")
+DESK = "desk"
 KINDS = ("server", "worker", "router", "robot", "desk")
 _MIN_PLACES = 30
 
@@ -74,21 +74,21 @@ def run(
         clicker.start()
         ledger = Ledger(observer.link, observer.keys)
         pause = scratch / "pause"
-        _start_desk(fleet, places, scratch, pause)
+        start_desk(fleet, places, scratch, pause)
         for _ in range(kills):
-            target = chance.choice(_TARGETS)
+            target = chance.choice(TARGETS)
             target = chance.choice(plan.names) if target == "robot" else target
             time.sleep(chance.uniform(*_PAUSE_S))
-            noted.append(_kill(fleet, observer, clicker, ledger, target))
+            noted.append(kill(fleet, observer, clicker, ledger, target))
             progress()
         clicker.pause()
         pause.touch()
         settled = clicker.settled(SETTLED_WITHIN_S) and wait_until(
-            lambda: ledger.in_flight(fleet.told(_DESK)) == 0, SETTLED_WITHIN_S
+            lambda: ledger.in_flight(fleet.told(DESK)) == 0, SETTLED_WITHIN_S
         )
-        told = _restart_and_hear_all(fleet, observer, clicker, ledger)
+        told = restart_and_hear_all(fleet, observer, clicker, ledger)
         account = clicker.account()
-        told_clicks = fleet.told(_DESK)
+        told_clicks = fleet.told(DESK)
         lost, doubled = ledger.account(told_clicks, clicker.erased())
         account.lost.extend(lost)
         account.doubled.extend(doubled)
@@ -105,7 +105,7 @@ def run(
         "in_flight_at_kill": sum(kill.in_flight for kill in noted),
         "lost": len(account.lost),
         "doubled": len(account.doubled),
-        "in_flight_at_kill_desk": sum(k.in_flight for k in noted if k.target == _DESK),
+        "in_flight_at_kill_desk": sum(k.in_flight for k in noted if k.target == DESK),
         "recovery_s_p95": float(np.percentile([kill.recovery_s for kill in noted], 95)),
         "poses_after_server_s": _longest(noted, "server"),
         "poses_after_router_s": _longest(noted, "router"),
@@ -117,7 +117,7 @@ def _kind(target: str) -> str:
     return target if target in KINDS else "robot"
 
 
-def _start_desk(fleet: LocalFleet, places: list[Places], scratch: Path, pause: Path) -> None:
+def start_desk(fleet: LocalFleet, places: list[Places], scratch: Path, pause: Path) -> None:
     """Starts the client of an operator who clicks at the same places."""
     pairs = [
         {
@@ -132,7 +132,7 @@ def _start_desk(fleet: LocalFleet, places: list[Places], scratch: Path, pause: P
     file.write_text(json.dumps(pairs))
     files = (scratch / "updates.sqlite", file, pause)
     where = (fleet.endpoint, fleet.site, *(str(path) for path in files))
-    fleet.start(_DESK, "fleetpose.evaluation.system.faults.clerk", *where, json_lines=True)
+    fleet.start(DESK, "fleetpose.evaluation.system.faults.clerk", *where, json_lines=True)
 
 
 def _longest(noted: list[Kill], target: str) -> float | None:
@@ -140,15 +140,17 @@ def _longest(noted: list[Kill], target: str) -> float | None:
     return max((s for s in seconds if s is not None), default=None)
 
 
-def _kill(
+def kill(
     fleet: LocalFleet, observer: Observer, clicker: Clicker, ledger: Ledger, target: str
 ) -> Kill:
     """Kills a process, starts it again as a supervisor would, and waits until all flows."""
-    in_flight = clicker.in_flight() if target != _DESK else ledger.in_flight(fleet.told(_DESK))
+    robots = sum(name in observer.poses() for name in fleet.names())
+    in_flight = clicker.in_flight() if target != DESK else ledger.in_flight(fleet.told(DESK))
     noted = Kill(target, in_flight)
     before, killed_s = observer.server_epochs(), time.monotonic()
     if target == "worker":  # the server starts another one
-        workers = psutil.Process(fleet.pid("server")).children()
+        family = psutil.Process(fleet.pid("server")).children(recursive=True)
+        workers = [process for process in family if not process.children()]
         max(workers, key=lambda process: process.memory_info().rss).kill()
     else:
         fleet.kill(target)
@@ -158,16 +160,16 @@ def _kill(
     elif target == "server":
         if not wait_running(fleet, lambda: bool(observer.server_epochs() - before), UP_WITHIN_S):
             raise FleetPoseError(f"the server is not back; its log ends:\n{fleet.tail('server')}")
-    elif target != _DESK and not wait_running(
-        fleet, lambda: observer.alive_robots() == ROBOTS, UP_WITHIN_S
+    elif target != DESK and not wait_running(
+        fleet, lambda: observer.alive_robots() == robots, UP_WITHIN_S
     ):
         raise FleetPoseError(f"{target} is not back; logs: {fleet.directory}")
     up_s = time.monotonic()
     noted.up_s = up_s - killed_s
     if target in ("server", "router"):
         noted.poses_s = _poses_anew(fleet, observer, up_s)
-    whose = ledger if target == _DESK else clicker
-    since_s = up_s if target == _DESK else killed_s
+    whose = ledger if target == DESK else clicker
+    since_s = up_s if target == DESK else killed_s
     if not wait_running(fleet, lambda: whose.first_receipt_s(since_s) is not None, UP_WITHIN_S):
         raise FleetPoseError(f"no receipts after {target} was killed; logs: {fleet.directory}")
     first_s = whose.first_receipt_s(since_s)
@@ -188,7 +190,7 @@ def _poses_anew(fleet: LocalFleet, observer: Observer, since_s: float) -> float:
     return max((at - since_s for at in times() if at is not None), default=0.0)
 
 
-def _restart_and_hear_all(
+def restart_and_hear_all(
     fleet: LocalFleet, observer: Observer, clicker: Clicker, ledger: Ledger
 ) -> bool:
     """Ends and starts the server in good order, so that what it then tells is what it kept; whether

@@ -1,0 +1,1 @@
+"""A fleet that runs for hours while its processes are killed, frozen and restarted."""
