@@ -52,6 +52,4 @@ def opened(content: bytes, password: str) -> bytes:
 
 
 def _key(password: str, salt: bytes) -> bytes:
-    return hashlib.scrypt(
-        password.encode(), salt=salt, n=_N, r=_R, p=_P, maxmem=1 << 26, dklen=32
-    )
+    return hashlib.scrypt(password.encode(), salt=salt, n=_N, r=_R, p=_P, maxmem=1 << 26, dklen=32)

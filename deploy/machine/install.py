@@ -94,9 +94,7 @@ def plan_install(
     ]
     files.insert(0, Planned(on_disk / CONFIGURATION, _in(folder, bundle.files[CONFIGURATION])))
     more, commands = system_files(bundle.manifest, folder, system)
-    files += [
-        Planned(_below(image, file.path), file.content, PUBLIC, file.keep) for file in more
-    ]
+    files += [Planned(_below(image, file.path), file.content, PUBLIC, file.keep) for file in more]
     return Plan(bundle.who, on_disk, tuple(files), commands)
 
 

@@ -1,6 +1,7 @@
 """What starts the processes of a machine: systemd units, or containers by compose."""
 
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
@@ -123,7 +124,7 @@ def _robot_settings(manifest: Manifest, folder: Path) -> SystemFile:
     return SystemFile(folder / "robot.toml", _filled("robot.toml", values), keep=True)
 
 
-def _filled(name: str, values: dict[str, object]) -> bytes:
+def _filled(name: str, values: Mapping[str, object]) -> bytes:
     return Template(_read(name).decode()).substitute(values).encode()
 
 

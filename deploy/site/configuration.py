@@ -70,15 +70,18 @@ def router_configuration(
         "metadata": _metadata(site, who, rules=rules_hash(access, limits)),
         "listen": {"endpoints": [listen]},
         "connect": {
-            **{"endpoints": [router.endpoint for router in others], "timeout_ms": -1},
-            **{"exit_on_failure": False},
+            "endpoints": [router.endpoint for router in others],
+            "timeout_ms": -1,
+            "exit_on_failure": False,
             "retry": {"period_init_ms": 200, "period_max_ms": 2000},
         },
         "adminspace": {"enabled": True, "permissions": {"read": True, "write": False}},
         "transport": {
             "unicast": {
-                **{"open_timeout": 4000, "accept_timeout": 4000, "accept_pending": 50},
-                **{"max_sessions": 1000},
+                "open_timeout": 4000,
+                "accept_timeout": 4000,
+                "accept_pending": 50,
+                "max_sessions": 1000,
             },
             **_link(tls),
         },
@@ -94,6 +97,7 @@ def rules_hash(access: dict[str, Any], limits: dict[str, Any]) -> str:
 
 
 def text_of(configuration: dict[str, Any]) -> str:
+    """As a file."""
     return json.dumps(configuration, indent=1) + "\n"
 
 

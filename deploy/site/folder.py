@@ -1,10 +1,10 @@
 """The site's folder: `site.toml`, the one file that is edited, and what is made from it.
 
-    site.toml      names, routers, generations, rates
-    ca/            the certificate authority; whoever has ca.key can make anybody
-    issued.jsonl   every certificate that was issued, one a line
-    rules/         the routers' configurations
-    bundles/       what is installed on the machines
+site.toml      names, routers, generations, rates
+ca/            the certificate authority; whoever has ca.key can make anybody
+issued.jsonl   every certificate that was issued, one a line
+rules/         the routers' configurations
+bundles/       what is installed on the machines
 """
 
 import json
@@ -48,7 +48,7 @@ class Site(BaseModel):
     observers: tuple[_Name, ...] = ()
     routers: dict[_Name, str]
     generations: dict[str, Annotated[int, Field(ge=1)]] = {}
-    rates: Rates = Rates()
+    rates: Rates = Field(default_factory=lambda: Rates.model_validate({}))
 
     @property
     def keys(self) -> Keys:
@@ -93,7 +93,9 @@ class Site(BaseModel):
         return self.model_copy(update={plural: tuple(dict.fromkeys((*there, *names)))})
 
     def with_generation(self, who: Identity) -> Self:
-        return self.model_copy(update={"generations": {**self.generations, who.who: who.generation}})
+        return self.model_copy(
+            update={"generations": {**self.generations, who.who: who.generation}}
+        )
 
 
 def router_address(name: str, text: str) -> RouterAddress:
@@ -126,7 +128,9 @@ class SiteFolder:
         if not (path / SITE).is_file():
             raise SiteError(f"{path} is no site's folder: make one with 'pose-deploy init {path}'")
         if readable_by_others(path):
-            raise SiteError(f"{path} can be read by others, and holds the CA's key: chmod 700 {path}")
+            raise SiteError(
+                f"{path} can be read by others, and holds the CA's key: chmod 700 {path}"
+            )
         self.site = _read_site(path / SITE)
 
     @classmethod
@@ -156,7 +160,9 @@ class SiteFolder:
         try:
             files = [(self.path / name).read_bytes() for name in (CA_CERTIFICATE, CA_KEY)]
         except OSError as error:
-            raise SiteError(f"{error.filename}: {error.strerror}: restore the site's ca/") from error
+            raise SiteError(
+                f"{error.filename}: {error.strerror}: restore the site's ca/"
+            ) from error
         return Authority.load(self.site.site, *files)
 
     def bundle(self, who: Identity) -> Path:
@@ -168,9 +174,11 @@ class SiteFolder:
     def note(self, who: Identity, issued: Issued) -> None:
         """Appends to the list of what was issued."""
         line = {
-            **{"cn": who.common_name, "serial": issued.serial, "sha256": issued.der_sha256},
-            **{"not_before": issued.not_before.isoformat()},
-            **{"not_after": issued.not_after.isoformat()},
+            "cn": who.common_name,
+            "serial": issued.serial,
+            "sha256": issued.der_sha256,
+            "not_before": issued.not_before.isoformat(),
+            "not_after": issued.not_after.isoformat(),
         }
         path = self.path / ISSUED
         path.touch(mode=0o600)
@@ -187,7 +195,9 @@ class SiteFolder:
             try:
                 yield Record.model_validate_json(line)
             except ValidationError as error:
-                raise SiteError(f"{path}, line {number}, is damaged: restore or remove it") from error
+                raise SiteError(
+                    f"{path}, line {number}, is damaged: restore or remove it"
+                ) from error
 
 
 class Record(BaseModel):

@@ -8,12 +8,20 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from fleetpose.deploy.archive import packed
+from fleetpose.deploy.archive import packed, unpacked
 from fleetpose.deploy.errors import SiteError
 from fleetpose.deploy.identity import Identity
-from fleetpose.deploy.manifest import CA, CERTIFICATE, CONFIGURATION, KEY, MANIFEST, Manifest
+from fleetpose.deploy.manifest import (
+    CA,
+    CERTIFICATE,
+    CONFIGURATION,
+    KEY,
+    MANIFEST,
+    Manifest,
+    manifest_of,
+)
 from fleetpose.deploy.private_files import write_file
-from fleetpose.deploy.sealing import Sealer
+from fleetpose.deploy.sealing import Sealer, is_sealed
 from fleetpose.deploy.site.certificates import Authority, Issued
 from fleetpose.deploy.site.configuration import (
     client_configuration,
@@ -89,7 +97,9 @@ class Keeper:
         new = [Identity(role, name) for name in dict.fromkeys(names)]
         for who in new:
             if who.who in there:
-                raise SiteError(f"{who.who} is there already: 'pose-deploy renew' gives a new bundle")
+                raise SiteError(
+                    f"{who.who} is there already: 'pose-deploy renew' gives a new bundle"
+                )
         self.folder.save(self.folder.site.with_names(role, names))
         current = [self.folder.site.member(who.who) for who in new]
         return self._issue_all(current, days, request)
@@ -127,8 +137,24 @@ class Keeper:
             path, text = self.folder.rules(name), text_of(self._of_router(name))
             if not path.exists() or path.read_text() != text:
                 write_file(path, text)
+                self._put_into_bundle(self.folder.site.member(f"router/{name}"), text)
                 changed.append(name)
         return changed
+
+    def without_certificate(self) -> list[Identity]:
+        """Members that were revoked, or written into `site.toml` by hand."""
+        newest = self.folder.newest()
+        return [who for who in self.folder.site.members() if who.common_name not in newest]
+
+    def _put_into_bundle(self, router: Identity, rules: str) -> None:
+        """A router's bundle that is not under a password gets the new rules as well."""
+        path = self.folder.bundle(router)
+        content = path.read_bytes() if path.exists() else b""
+        if content and not is_sealed(content):
+            files = unpacked(content, str(path)) | {CONFIGURATION: rules.encode()}
+            manifest = manifest_of(files[MANIFEST], str(path))
+            files[MANIFEST] = _json(manifest.model_copy(update={"issued": datetime.now(UTC)}))
+            write_file(path, packed(files))
 
     def _issue_all(
         self, members: Iterable[Identity], days: float, request: bytes | None = None
@@ -149,7 +175,7 @@ class Keeper:
     def _files(self, who: Identity, issued: Issued) -> Mapping[str, bytes]:
         key = {} if issued.key_pem is None else {KEY: issued.key_pem}
         return {
-            MANIFEST: self._manifest(who, issued).model_dump_json(indent=1).encode(),
+            MANIFEST: _json(self._manifest(who, issued)),
             CA: self._authority.pem,
             CERTIFICATE: issued.pem,
             **key,
@@ -182,6 +208,10 @@ class Keeper:
         return self._configurations[name]
 
 
+def _json(manifest: Manifest) -> bytes:
+    return manifest.model_dump_json(indent=1).encode()
+
+
 def router_configurations(site: Site) -> dict[str, dict[str, Any]]:
     """The configuration of each router: a function of what `site.toml` says, and nothing else."""
     access, rates = access_control(site.keys, site.members()), limits(site.keys, site.rates)
@@ -196,12 +226,12 @@ def router_configurations(site: Site) -> dict[str, dict[str, Any]]:
 
 def hash_of(site: Site) -> str:
     """Of the rules that follow from `site.toml` now."""
-    return rules_hash(
-        access_control(site.keys, site.members()), limits(site.keys, site.rates)
-    )
+    return rules_hash(access_control(site.keys, site.members()), limits(site.keys, site.rates))
 
 
-def make_site(path: Path, site: Site, sealer: Sealer | None = None) -> tuple[Keeper, Written, float]:
+def make_site(
+    path: Path, site: Site, sealer: Sealer | None = None
+) -> tuple[Keeper, Written, float]:
     """A new site's folder with its first bundles, and the seconds that took."""
     began = time.monotonic()
     if not site.routers:

@@ -38,7 +38,9 @@ def limits(keys: Keys, rates: Rates) -> dict[str, Any]:
         "downsampling": [
             {"id": "puts", **ingress, "messages": ["put"], "rules": _thinned(puts)},
             {
-                **{"id": "questions", **ingress, "messages": ["query"]},
+                "id": "questions",
+                **ingress,
+                "messages": ["query"],
                 "rules": _thinned(dict.fromkeys((keys.relative, keys.why), rates.questions_hz)),
             },
         ],
@@ -50,7 +52,10 @@ def limits(keys: Keys, rates: Rates) -> dict[str, Any]:
         "qos": {
             "network": [
                 {
-                    **{"id": "views", **ingress, "messages": ["put"], "key_exprs": bulk},
+                    "id": "views",
+                    **ingress,
+                    "messages": ["put"],
+                    "key_exprs": bulk,
                     "overwrite": {"priority": "data_low", "express": False},
                 }
             ]
@@ -64,6 +69,9 @@ def _thinned(rates_hz: dict[str, float]) -> list[dict[str, Any]]:
 
 def _bounded(name: str, keys: list[str], size: int) -> dict[str, Any]:
     return {
-        **{"id": name, "flows": ["ingress"], "messages": ["put", "reply"]},
-        **{"key_exprs": keys, "size_limit": size},
+        "id": name,
+        "flows": ["ingress"],
+        "messages": ["put", "reply"],
+        "key_exprs": keys,
+        "size_limit": size,
     }

@@ -42,7 +42,7 @@ class Permissions:
 
 
 def permissions(keys: Keys, role: str, name: str) -> Permissions:
-    """What somebody may do; the name `*` stands for all of a role. Routers have rules of their own."""
+    """What somebody may do, except a router; the name `*` stands for all of a role."""
     of_role = {
         "server": lambda: _server(keys),
         "robot": lambda: _robot(keys, name),
@@ -116,4 +116,7 @@ def _own_check(keys: Keys, role: str, name: str) -> Permissions:
 def everybody(keys: Keys) -> list[Permissions]:
     """The permissions of each role, all its members taken together."""
     named = ("robot", "operator", "observer", "health")
-    return [permissions(keys, "server", "server"), *(permissions(keys, role, "*") for role in named)]
+    return [
+        permissions(keys, "server", "server"),
+        *(permissions(keys, role, "*") for role in named),
+    ]

@@ -74,9 +74,7 @@ def allowances(may: Permissions, readers: Readers) -> list[Allowance]:
         readers: of the site: a publisher stays silent unless it learns who listens, and it learns
             it in the words of who listens.
     """
-    return [
-        allowance for allowance in (*_says(may, readers), *_hears(may)) if allowance[2]
-    ]
+    return [allowance for allowance in (*_says(may, readers), *_hears(may)) if allowance[2]]
 
 
 def _says(may: Permissions, readers: Readers) -> Iterable[Allowance]:
@@ -117,9 +115,7 @@ def _meeting(written: Sequence[str], read: Sequence[str]) -> tuple[str, ...]:
     writes = [zenoh.KeyExpr(key) for key in written]
     met = [expr for expr in exprs if any(expr.intersects(one) for one in writes)]
     return tuple(
-        str(expr)
-        for expr in met
-        if not any(other.includes(expr) for other in met if other != expr)
+        str(expr) for expr in met if not any(other.includes(expr) for other in met if other != expr)
     )
 
 
@@ -149,8 +145,11 @@ class _Collected:
             self._known[allowance] = name
             self.rules.append(
                 {
-                    **{"id": name, "permission": "allow", "flows": [flow]},
-                    **{"messages": [message], "key_exprs": list(keys)},
+                    "id": name,
+                    "permission": "allow",
+                    "flows": [flow],
+                    "messages": [message],
+                    "key_exprs": list(keys),
                 }
             )
         return self._known[allowance]
