@@ -77,7 +77,7 @@ def robot_source(text: str) -> tuple[str, str, str]:
 
 def main() -> None:
     """Runs the command line; what a user can mend is one sentence and exit code 2."""
-    run_command(app, "pose-deploy", "deploy,robot,server")
+    run_command(app, "pose-deploy", "robot,server")
 
 
 if __name__ == "__main__":
