@@ -79,6 +79,7 @@ def plan_install(
     Raises:
         BundleError: the bundle has expired, or does not belong on this machine.
     """
+    root = root.absolute()
     check_time(bundle.manifest, now or datetime.now(UTC))
     check_place(_below(image, root), bundle.manifest)
     folder = root / bundle.who.folder
@@ -106,7 +107,7 @@ def plan_rules(content: bytes, path: Path, root: Path, image: Path = Path("/")) 
     """
     site, role, name = metadata_of(content, str(path))
     who = Identity(role, name)
-    folder = root / who.folder
+    folder = root.absolute() / who.folder
     there = installed_in(_below(image, folder))
     if role != "router" or there.manifest.site != site:
         raise BundleError(
@@ -132,7 +133,7 @@ def _in(folder: Path, configuration: bytes) -> bytes:
 
 def _below(image: Path, path: Path) -> Path:
     """A path of a machine inside of the file system that stands for it."""
-    return image / path.absolute().relative_to("/")
+    return image / path.relative_to("/")
 
 
 def _write(file: Planned, folder: Path) -> None:
