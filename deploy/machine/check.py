@@ -81,14 +81,17 @@ def check(folder: Path, quick: bool = False, clock: Clock = utc_now) -> Iterator
     yield from here
     if here[0].state is State.BROKEN:
         return
+    echoes = []
     for router in installed.manifest.routers:
         probed = probe(router, folder, clock().timestamp())
         yield _router(router, probed)
         if probed.error is None and not quick:
-            heard = echo(configuration, installed.manifest.site, installed.who, router)
-            yield _session(installed, router, heard, clock())
+            echoes.append(echo(configuration, installed.manifest.site, installed.who, router))
+            yield _session(installed, router, echoes[-1], clock())
             if installed.who.role == "router" and installed.who.name == router.name:
                 yield _rules(configuration, running_rules(configuration, router))
+    if any(one.heard for one in echoes):
+        yield _server(any(one.server for one in echoes))
 
 
 def _files(installed: Installed) -> Step:
@@ -219,6 +222,12 @@ def _session(installed: Installed, router: RouterAddress, heard: Echo, now: date
         if abs(off) > CLOCKS_DIFFER:
             return broken(name, text=f"this machine's clock is {_words(off)} the router's: set it")
     return ok(name, text="its rules let this machine say and hear what it may")
+
+
+def _server(alive: bool) -> Step:
+    if not alive:
+        return soon("server", text="the site has no pose server now: is 'pose-server run' running?")
+    return ok("server", text="a pose server of the site is there")
 
 
 def _words(off: timedelta) -> str:

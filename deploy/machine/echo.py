@@ -31,11 +31,13 @@ class Echo:
         connected: a session was opened.
         heard: the rules let this machine say and hear what it may.
         router_s: the router's clock as it passed, seconds since 1970.
+        server: a pose server of the site shows itself there.
     """
 
     connected: bool
     heard: bool = False
     router_s: float | None = None
+    server: bool = False
 
 
 def echo(configuration: dict[str, Any], site: str, who: Identity, router: RouterAddress) -> Echo:
@@ -55,9 +57,15 @@ def echo(configuration: dict[str, Any], site: str, who: Identity, router: Router
                 says.put(key, b"")
                 if came.wait(REPEATED_S):
                     break
+            server = _shown(hears, Keys(site).server_alive("*"))
     except zenoh.ZError:
         return Echo(connected=False)
-    return Echo(connected=True, heard=came.is_set(), router_s=stamps[0] if stamps else None)
+    return Echo(True, came.is_set(), stamps[0] if stamps else None, server)
+
+
+def _shown(session: zenoh.Session, tokens: str) -> bool:
+    """Whether there is any of these tokens."""
+    return any(reply.ok is not None for reply in session.liveliness().get(tokens, timeout=ECHO_S))
 
 
 def running_rules(configuration: dict[str, Any], router: RouterAddress) -> dict[str, str] | None:

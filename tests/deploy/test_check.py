@@ -22,7 +22,7 @@ from fleetpose.deploy.machine.tls import probe
 from fleetpose.deploy.manifest import CA, CERTIFICATE, CONFIGURATION, KEY, MANIFEST
 from tests.deploy.field_makers import Field
 
-NAMES = ["files", "clock", "certificate", "name", "version", "router a", "session a"]
+NAMES = ["files", "clock", "certificate", "name", "version", "router a", "session a", "server"]
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,10 @@ def field(tmp_path_factory):
 @pytest.fixture(scope="module")
 def router(field):
     session = field.start_router()
-    yield session
+    with field.open("server") as server:
+        token = server.liveliness().declare_token(field.keys.server_alive("a" * 12))
+        yield session
+        token.undeclare()
     session.close()
 
 
@@ -65,7 +68,7 @@ def test_where_all_is_well_every_step_says_so(router, machine):
 
 
 def test_quick_opens_no_session(router, machine):
-    assert list(steps(machine, quick=True)) == NAMES[:-1]
+    assert list(steps(machine, quick=True)) == NAMES[:-2]
 
 
 @pytest.mark.parametrize("who", ["server", "operator/anna", "observer/wall", "health/desk"])
@@ -82,6 +85,13 @@ def test_a_router_is_told_whether_it_runs_what_is_installed(router, field, tmp_p
     plan_rules(json.dumps(told).encode(), tmp_path / "router-a.json5", folder.parent).write()
     broken(folder, "rules", "restart it", State.SOON)
     field.install("router/a")
+
+
+def test_a_site_without_a_server_is_told(field, machine, tmp_path):
+    other = Field(tmp_path / "other")
+    with other.start_router():
+        folder = other.install("robot/r1")
+        broken(folder, "server", "has no pose server now", State.SOON)
 
 
 def test_files_that_are_missing_damaged_or_readable_are_named(field, machine):

@@ -11,6 +11,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.transport import SessionSettings, free_port, open_session
 from tests.documents import Command, commands_in
 
@@ -66,6 +67,8 @@ class Machines:
             text = configuration.read_text()
             configuration.write_text(text.replace("/etc/fleetpose", str(below)))
         self.router = open_session(SessionSettings(config_file=below / "router-a/zenoh.json5"))
+        server = Keys("hall").server_alive("a" * 12)
+        self.server_token = self.router.liveliness().declare_token(server)
         return below
 
 

@@ -1,6 +1,7 @@
 """What installing writes: all of it where it belongs, whole, and closed to others."""
 
 import json
+import os
 import re
 import shutil
 import stat
@@ -16,6 +17,8 @@ from fleetpose.deploy.machine.bundle import read_bundle
 from fleetpose.deploy.machine.install import Plan, described, plan_install, plan_rules
 from fleetpose.deploy.machine.system_files import IMAGES, SERVICES, System
 from fleetpose.deploy.manifest import CONFIGURATION, KEY
+from fleetpose.deploy.sealing import Sealer
+from fleetpose.deploy.site.issuing import Keeper
 from tests.deploy.field_makers import Field, no_password
 
 ROOT = Path("/etc/fleetpose")
@@ -41,21 +44,42 @@ def tree(folder: Path) -> dict[str, int]:
     }
 
 
+def install(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-P", "-m", "fleetpose.deploy", "install", *map(str, arguments)]
+    env = {**os.environ, **environment}
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=env)
+
+
 def test_a_dry_run_writes_nothing_and_names_each_file(field, tmp_path):
-    command = [sys.executable, "-P", "-m", "fleetpose.deploy", "install"]
-    options = ("--systemd", "--dry-run", "--image", str(tmp_path))
-    done = subprocess.run(
-        [*command, str(field.bundle("robot/r1")), *options],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    options = ("--systemd", "--dry-run", "--image", tmp_path)
+    done = install(field.bundle("robot/r1"), *options)
     assert done.returncode == 0, done.stderr
     assert list(tmp_path.iterdir()) == []
     plan = planned(field, "robot/r1", tmp_path, System.SYSTEMD)
     assert all(str(file.path) in done.stdout for file in plan.files)
     assert len(plan.commands) == 2 and all(one in done.stdout for one in plan.commands)
+
+
+def test_a_bundle_under_a_password_is_installed_by_the_command_that_knows_it(tmp_path):
+    field = Field(tmp_path)
+    keeper = Keeper(field.keeper.folder, Sealer("secret"))
+    [bundle] = keeper.renew([field.site.member("robot/r1")]).bundles
+    bundle.path.chmod(0o644)
+    wrong = install(bundle.path, "--root", tmp_path / "m", FLEETPOSE_BUNDLE_PASSWORD="else")
+    assert wrong.returncode == 2 and "password is another one" in wrong.stderr
+    assert not (tmp_path / "m").exists()
+    right = install(bundle.path, "--root", tmp_path / "m", FLEETPOSE_BUNDLE_PASSWORD="secret")
+    assert right.returncode == 0, right.stderr
+    assert (tmp_path / "m/robot-r1" / KEY).stat().st_mode & 0o777 == 0o600
+
+
+def test_where_nothing_can_be_written_it_is_one_sentence(field, tmp_path):
+    (tmp_path / "file").touch()
+    done = install(field.bundle("server"), "--root", tmp_path / "file/below")
+    assert done.returncode == 2 and "run it as root, or give --root" in done.stderr
+    assert "Traceback" not in done.stderr
+    both = install(field.bundle("server"), "--systemd", "--compose")
+    assert both.returncode == 2 and "choose one" in both.stderr
 
 
 @pytest.mark.parametrize("system", [None, *System])
