@@ -11,9 +11,9 @@ import pytest
 from fleetpose.deploy.local_fleet import LocalFleet
 from fleetpose.evaluation.system.fleet import FleetPlan, plan_world
 from fleetpose.evaluation.system.observer import Observer
-from fleetpose.protocol.codec import unpack
+from fleetpose.protocol.codec import encoding_of, unpack
 from fleetpose.protocol.keys import Keys
-from fleetpose.protocol.messages import Alignment, PairCorrespondences
+from fleetpose.protocol.messages import Alignment, OperatorUpdate, PairCorrespondences
 from fleetpose.protocol.slots import Sample
 from fleetpose.protocol.transport import Link, SessionSettings, open_session, wait_until
 from tests.deploy.field_makers import Field
@@ -21,6 +21,7 @@ from tests.integration.test_fleet_of_processes import CLICKS, FIRST_POSE_S, true
 
 ROBOTS = ("r1", "r2", "r3")
 LATE_S = 10.0
+REPLAYED = 20
 
 
 @pytest.fixture
@@ -88,12 +89,14 @@ def test_a_fleet_from_bundles_is_located_clicks_are_receipted_and_who_comes_late
             return all(name in seen and seen[name].pose.located for name in ROBOTS)
 
         assert wait_until(located, FIRST_POSE_S), fleet.tail("server")
-        added = hmi(
-            *(field, "operator/anna", "correspondences", "add", "r1", "r2"),
-            *(*true_clicks(knowing, field.folder, fleet), "--timeout", "20"),
-        )
-        assert added.returncode == 0, added.stdout + added.stderr
-        assert_late_client_has_everything(field)
+        said: list[Sample] = []
+        of_server.on_latched(Keys("demo").updates("anna"), said.append)
+        clicks = true_clicks(knowing, field.folder, fleet)
+        click(field, *clicks)
+        assert_late_client_has_everything(field, CLICKS)
+        replay(field, [sample.payload for sample in said])
+        click(field, clicks[0].replace(".", ".4", 1))
+        assert_late_client_has_everything(field, CLICKS + 1)
         status = hmi(field, "observer/wall", "status")
         assert "3 of 3 robots located" in status.stdout, status.stdout + status.stderr
         assert hmi(field, "observer/wall", "why", "r2").returncode == 0
@@ -103,7 +106,24 @@ def test_a_fleet_from_bundles_is_located_clicks_are_receipted_and_who_comes_late
     assert fleet.leftover_processes() == 0
 
 
-def assert_late_client_has_everything(field: Field) -> None:
+def click(field: Field, *clicks: str) -> None:
+    """Anna adds points; the command ends with 0 once they are receipted."""
+    add = ("correspondences", "add", "r1", "r2", *clicks, "--timeout", "20")
+    done = hmi(field, "operator/anna", *add)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def replay(field: Field, updates: list[bytes]) -> None:
+    """Anna's true bytes again and again, by herself and by another operator."""
+    assert len(updates) >= CLICKS
+    keys, encoding = Keys("demo"), encoding_of(OperatorUpdate)
+    with link_of(field, "operator/anna") as anna, link_of(field, "operator/ben") as ben:
+        for link, key in ((anna, "anna"), (ben, "ben"), (ben, "anna")):
+            for payload in updates * REPLAYED:
+                link.session.put(keys.updates(key), payload, encoding=encoding)
+
+
+def assert_late_client_has_everything(field: Field, clicks: int) -> None:
     """The set and the alignments were said before it came: caches answer it."""
     sets: dict[str, int] = {}
     aligned: set[tuple[str, str]] = set()
@@ -120,5 +140,5 @@ def assert_late_client_has_everything(field: Field) -> None:
     with link_of(field, "operator/ben") as late:
         late.on_latched(keys.correspondences("*", "*"), note_set)
         late.on_latched(keys.alignment("*", "*"), note_alignment)
-        assert wait_until(lambda: sets.get("r1-r2") == CLICKS, LATE_S), sets
+        assert wait_until(lambda: sets.get("r1-r2") == clicks, LATE_S), sets
         assert wait_until(lambda: len(aligned) == 3, LATE_S), aligned
