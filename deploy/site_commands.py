@@ -111,11 +111,19 @@ def revoke(
     the name out of site.toml and run 'pose-deploy rules'.
     """
     keeper = _keeper(folder)
-    written = keeper.revoke(keeper.folder.site.member(who))
+    before = keeper.folder.site.member(who)
+    record = keeper.folder.newest().get(before.common_name)
+    written = keeper.revoke(before)
     now = keeper.folder.site.member(who)
     print(
         f"{now.who}: only generation {now.generation} counts once the routers run their new rules"
     )
+    if now.role == "router" and record is not None:
+        print(
+            "robots and operators go on trusting its old certificate until "
+            f"{record.not_after:%Y-%m-%d}: give the router another address in site.toml and renew "
+            "all bundles, or make the site anew"
+        )
     _say(keeper, written)
 
 

@@ -125,8 +125,13 @@ def _robot_settings(manifest: Manifest, folder: Path) -> SystemFile:
 
 
 def _filled(name: str, values: Mapping[str, object]) -> bytes:
-    return Template(_read(name).decode()).substitute(values).encode()
+    return Template(template(name)).substitute(values).encode()
 
 
 def _read(name: str) -> bytes:
-    return (files("fleetpose.deploy") / "files" / name).read_bytes()
+    return template(name).encode()
+
+
+def template(name: str) -> str:
+    """One of the files that come with the package; `$name` stands for what differs."""
+    return (files("fleetpose.deploy") / "files" / name).read_text()

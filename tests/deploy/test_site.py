@@ -169,6 +169,13 @@ def certificate_in(path: Path) -> x509.Certificate:
     return x509.load_pem_x509_certificate(pem)
 
 
+def test_who_trusts_a_revoked_router_is_told(field):
+    """Clients do not read rules: to them a router's certificate holds until it ends."""
+    done = deploy("revoke", field.keeper.folder.path, "router/a")
+    assert done.returncode == 0 and "go on trusting its old certificate until" in done.stdout
+    assert "trusting" not in deploy("revoke", field.keeper.folder.path, "robot/r1").stdout
+
+
 def test_renewing_keeps_the_name_and_changes_key_and_certificate_but_no_rule(field):
     who = field.site.member("robot/r1")
     before = certificate_in(field.bundle("robot/r1"))
