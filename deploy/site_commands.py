@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 PASSWORD = "FLEETPOSE_BUNDLE_PASSWORD"
 
+PRIVATE_ENDINGS = ("internal", "local", "lan", "home", "test")
+
 SitePath = Annotated[Path, typer.Argument(metavar="SITE", help="The site's folder.")]
 Days = Annotated[float, typer.Option(min=0.01, max=3650, help="Days that certificates hold.")]
 Password = Annotated[
@@ -54,6 +56,12 @@ def init(
         f"site {site}: CA {keeper.fingerprint[:8]}, {len(routers)} router(s), {seconds:.2f} s; "
         f"next: pose-deploy add {folder} robot NAME..."
     )
+    for address in told.addresses():
+        if is_public(address.host):
+            print(
+                f"{address.host} is a name of the public web, whose authorities zenoh trusts as "
+                "well: better an address, or a name under .internal"
+            )
     _say(keeper, written)
 
 
@@ -180,6 +188,15 @@ def _router(text: str) -> tuple[str, str]:
     from fleetpose.protocol.keys import checked_name
 
     return checked_name(name), address
+
+
+def is_public(host: str) -> bool:
+    """Whether some authority of the web may sign for a host: it is a name with a public ending."""
+    return (
+        "." in host
+        and host.rpartition(".")[2].lower() not in PRIVATE_ENDINGS
+        and (not host.replace(".", "").isdigit() and ":" not in host)
+    )
 
 
 def _keeper(folder: Path, password: bool = False) -> "Keeper":

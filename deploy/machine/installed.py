@@ -1,5 +1,6 @@
 """What is installed on this machine: one folder for each bundle, below /etc/fleetpose."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,7 +40,15 @@ def installed_in(folder: Path) -> Installed:
 
 
 def folders_below(root: Path) -> list[Path]:
-    """The folders with a manifest: this one, or those in it."""
+    """The folders with a manifest: this one, or those in it.
+
+    Raises:
+        BundleError: one of them is closed to this user.
+    """
+    folders = [path for path in root.glob("*") if path.is_dir()] if root.is_dir() else []
+    for folder in (root, *folders):
+        if folder.exists() and not os.access(folder, os.R_OK | os.X_OK):
+            raise BundleError(f"{folder} is closed to you: run it as root or as its owner")
     if (root / MANIFEST).exists():
         return [root]
     return sorted(path.parent for path in root.glob(f"*/{MANIFEST}"))

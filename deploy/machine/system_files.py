@@ -59,7 +59,7 @@ def _systemd(manifest: Manifest, folder: Path) -> tuple[list[SystemFile], tuple[
     who, bin_folder = manifest.identity, Path(sys.executable).parent
     unit = f"fleetpose-{who.folder}.service"
     values = {"bin": bin_folder, "folder": folder, "site": manifest.site, "name": who.name}
-    values |= {"unit": who.folder, "who": who.who}
+    values |= {"unit": who.folder, "who": who.who, "home": _protect_home(bin_folder)}
     found = [
         SystemFile(Path("/etc/systemd/system") / unit, _filled(f"{who.role}.service", values)),
         *(
@@ -79,6 +79,11 @@ def _systemd(manifest: Manifest, folder: Path) -> tuple[list[SystemFile], tuple[
         "systemd-sysusers && sysctl --system --quiet && systemctl daemon-reload",
         f"systemctl enable --now {unit} fleetpose-check-{who.folder}.timer",
     )
+
+
+def _protect_home(bin_folder: Path) -> str:
+    """Homes are hidden from the services, unless the programs themselves are installed in one."""
+    return "read-only" if bin_folder.parts[1:2] in (("home",), ("root",)) else "yes"
 
 
 def _compose(manifest: Manifest, folder: Path) -> tuple[list[SystemFile], tuple[str, ...]]:

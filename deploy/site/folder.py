@@ -37,7 +37,8 @@ class Site(BaseModel):
 
     Attributes:
         routers: addresses `HOST[:PORT]` by name, in the order in which clients ask them.
-        generations: of those whose certificates were revoked; all others are in their first.
+        generations: of those whose certificates were revoked; all others are in their first. Who
+            was removed stays here, so that the same name never gets an old certificate's rules.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -93,9 +94,10 @@ class Site(BaseModel):
         return self.model_copy(update={plural: tuple(dict.fromkeys((*there, *names)))})
 
     def with_generation(self, who: Identity) -> Self:
-        return self.model_copy(
-            update={"generations": {**self.generations, who.who: who.generation}}
-        )
+        """With somebody's certificates counting from this generation on."""
+        others = {name: n for name, n in self.generations.items() if name != who.who}
+        changed = {who.who: who.generation} if who.generation > 1 else {}
+        return self.model_copy(update={"generations": others | changed})
 
 
 def router_address(name: str, text: str) -> RouterAddress:
@@ -225,7 +227,7 @@ def _read_site(path: Path) -> Site:
         raise SiteError(f"{path}: {place}: {said['msg']}") from error
     try:
         for who in site.generations:
-            site.member(who)
+            Identity.parse(who)
     except FleetPoseError as error:
         raise SiteError(f"{path}: generations: {error}") from error
     return site
@@ -245,7 +247,7 @@ def _text_of(site: Site) -> str:
         "[routers] # HOST:PORT of each, in the order in which they are asked",
         *_table(site.routers),
         "",
-        "[generations] # of certificates; who is not named is in the first",
+        "[generations] # of certificates; who is not named is in the first. Remove nothing here",
         *_table(site.generations),
         "",
         "[rates] # what routers let through of each robot or operator",

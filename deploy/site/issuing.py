@@ -100,7 +100,10 @@ class Keeper:
                 raise SiteError(
                     f"{who.who} is there already: 'pose-deploy renew' gives a new bundle"
                 )
-        self.folder.save(self.folder.site.with_names(role, names))
+        site = self.folder.site.with_names(role, names)
+        for who in new:
+            site = site.with_generation(who.of_generation(self._next_generation(who)))
+        self.folder.save(site)
         current = [self.folder.site.member(who.who) for who in new]
         return self._issue_all(current, days, request)
 
@@ -145,6 +148,13 @@ class Keeper:
         """Members that were revoked, or written into `site.toml` by hand."""
         newest = self.folder.newest()
         return [who for who in self.folder.site.members() if who.common_name not in newest]
+
+    def _next_generation(self, who: Identity) -> int:
+        """One more than any that this name has had: also one that was taken out of `site.toml`."""
+        had = [Identity.parse(name) for name in self.folder.newest()]
+        issued = [one.generation for one in had if one.who == who.who]
+        revoked = self.folder.site.generations.get(who.who, 1)
+        return max([revoked, *(generation + 1 for generation in issued)])
 
     def _put_into_bundle(self, router: Identity, rules: str) -> None:
         """A router's bundle that is not under a password gets the new rules as well."""

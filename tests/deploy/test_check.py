@@ -15,9 +15,11 @@ from pathlib import Path
 
 import pytest
 
+from fleetpose.deploy.errors import BundleError
 from fleetpose.deploy.identity import Identity
 from fleetpose.deploy.machine.check import SOON_DAYS, State, Step, check
 from fleetpose.deploy.machine.install import plan_rules
+from fleetpose.deploy.machine.installed import folders_below
 from fleetpose.deploy.machine.tls import probe
 from fleetpose.deploy.manifest import CA, CERTIFICATE, CONFIGURATION, KEY, MANIFEST
 from tests.deploy.field_makers import Field
@@ -297,6 +299,13 @@ def test_the_command_ends_with_0_1_or_2_as_the_worst_step_went(router, field, ma
     assert deploy("check", machine).returncode == 2
     nothing = deploy("check", tmp_path / "nothing")
     assert nothing.returncode == 2 and "holds no bundle" in nothing.stderr
+
+
+def test_a_folder_that_is_closed_to_this_user_is_named(machine, monkeypatch):
+    monkeypatch.setattr("os.access", lambda path, mode: Path(path) != machine)
+    for folder in (machine, machine.parent):
+        with pytest.raises(BundleError, match=f"{machine} is closed to you"):
+            folders_below(folder)
 
 
 def test_the_keeper_compares_a_routers_rules_with_the_folders(router, field):

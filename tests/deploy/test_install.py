@@ -217,6 +217,20 @@ def test_units_are_ready_only_when_the_process_says_so_and_watched(field, tmp_pa
         assert "$" not in text
 
 
+@pytest.mark.parametrize(
+    ("python", "hidden"),
+    [("/opt/fleetpose/bin/python", "yes"), ("/home/ann/venv/bin/python", "read-only")],
+)
+def test_units_find_their_programs_wherever_they_are(field, tmp_path, monkeypatch, python, hidden):
+    monkeypatch.setattr(sys, "executable", python)
+    for who in ("robot/r1", "server", "router/a"):
+        planned(field, who, tmp_path, System.SYSTEMD).write()
+    for unit in (tmp_path / "etc/systemd/system").glob("*.service"):
+        text = unit.read_text()
+        assert f"ExecStart={Path(python).parent}/" in text
+        assert f"ProtectHome={hidden}" in text.splitlines()
+
+
 def test_tcp_of_robots_and_routers_takes_loss_for_loss(field, tmp_path):
     planned(field, "robot/r1", tmp_path, System.SYSTEMD).write()
     text = (tmp_path / "etc/sysctl.d/90-fleetpose.conf").read_text()

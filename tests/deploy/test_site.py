@@ -20,8 +20,9 @@ from fleetpose.deploy.identity import Identity
 from fleetpose.deploy.machine.bundle import read_bundle
 from fleetpose.deploy.site.explain import allowing, explain
 from fleetpose.deploy.site.folder import Site, SiteFolder, router_address
-from fleetpose.deploy.site.issuing import hash_of, make_site
+from fleetpose.deploy.site.issuing import Keeper, hash_of, make_site
 from fleetpose.deploy.site.rules import INGRESS, PUT, access_control
+from fleetpose.deploy.site_commands import is_public
 from tests.deploy.field_makers import Field, no_password
 
 ROBOTS_OF_A_LARGE_SITE = 72
@@ -95,7 +96,7 @@ def test_rates_that_are_edited_reach_the_routers_and_no_more_changes(field):
         ('site = "demo"', 'site = "Demo!"', "site"),
         ('robots = ["r1"', 'robots = ["R1"', "robots.0"),
         ("odometry_hz = 60.0", "odometry_hz = -1", "odometry_hz"),
-        ("[generations]", '[generations]\n"robot/r9" = 2', "no robot/r9"),
+        ("[generations]", '[generations]\n"r9" = 2', "generations: 'r9' is nobody"),
         ("[routers]", "[routers", "line"),
         ("[rates]", "colour = 1\n[rates]", "colour"),
         ('"127.0.0.1:', '"127.0.0.1:x', "no address"),
@@ -167,6 +168,42 @@ def test_a_revoked_certificate_is_in_no_rule_and_the_next_one_is_another(field):
 def certificate_in(path: Path) -> x509.Certificate:
     pem = unpacked(path.read_bytes(), str(path))["cert.pem"]
     return x509.load_pem_x509_certificate(pem)
+
+
+@pytest.mark.parametrize("revoked", [False, True])
+def test_a_name_that_was_removed_and_comes_back_never_gives_an_old_certificate_rules(
+    field, revoked
+):
+    old = field.site.member("robot/r2")
+    if revoked:
+        field.keeper.revoke(old)
+    field.keeper.folder.save(field.site.model_copy(update={"robots": ("r1", "r3")}))
+    keeper = Keeper(SiteFolder(field.keeper.folder.path))
+    keeper.add("robot", ["r2"])
+    rules = access_control(field.keys, keeper.folder.site.members())
+    assert keeper.folder.site.member("robot/r2").generation == 2
+    assert mine(rules, old) == [] and mine(rules, old.of_generation(2))
+
+
+def test_a_router_that_was_written_into_site_toml_is_told_to_need_a_certificate(field):
+    path = field.keeper.folder.path / "site.toml"
+    path.write_text(path.read_text().replace("[routers]", '[routers]\n"b" = "10.0.0.2"'))
+    site = field.keeper.folder.path
+    done = deploy("rules", site)
+    assert f"router/b has no certificate: pose-deploy renew {site} router/b" in done.stdout
+    assert deploy("renew", site, "router/b").returncode == 0
+    assert "no certificate" not in deploy("rules", site).stdout
+
+
+@pytest.mark.parametrize(
+    ("host", "public"),
+    [
+        *(("10.0.0.1", False), ("fd00::1", False), ("router-a", False)),
+        *(("a.hall.internal", False), ("a.example.com", True), ("example.org", True)),
+    ],
+)
+def test_names_that_the_public_web_can_sign_for_are_told(host, public):
+    assert is_public(host) is public
 
 
 def test_who_trusts_a_revoked_router_is_told(field):
