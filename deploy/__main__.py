@@ -1,10 +1,11 @@
-"""`pose-deploy`: run a fleet of processes on this machine."""
+"""`pose-deploy`: a fleet in the field, or all of it on this machine."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from fleetpose.deploy import machine_commands, site_commands
 from fleetpose.protocol.commands import Version, require, run_command
 
 app = typer.Typer(
@@ -13,11 +14,17 @@ app = typer.Typer(
     help="Put a fleet into operation.",
     rich_markup_mode=None,
 )
+site_commands.register(app)
+machine_commands.register(app)
 
 
 @app.callback()
 def _commands(version: Version = False) -> None:
-    """Put a fleet into operation."""
+    """Put a fleet into the field.
+
+    On the keeper's machine: init a site, add robots and operators. On theirs: install the bundle,
+    check the link.
+    """
 
 
 @app.command()
@@ -37,7 +44,7 @@ def local(
         Path, typer.Option(help="For logs and the server's state.", file_okay=False)
     ] = Path("fleet"),
 ) -> None:
-    """Run router, pose server and robots on this machine until Ctrl-C."""
+    """Run a whole fleet on this machine until Ctrl-C."""
     from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 
     require("robot,server")

@@ -22,6 +22,7 @@ MODULES = {  # that an extra brings, as they are imported; Open3D is done withou
     "cluster": ("distributed",),
     "metrics": ("prometheus_client",),
     "hmi": ("cv2", "textual", "rich", "mcap"),
+    "deploy": ("cryptography",),
     "eval": ("psutil", "DracoPy"),
 }
 PARTS = {"eval": ("robot", "server", "hmi")}  # extras that an extra brings

@@ -82,6 +82,12 @@ class Keys:
     def poses(self) -> str:
         return f"{self.root}/pose/**"
 
+    def heard(self, robot: str) -> str:
+        return f"{self.root}/heard/{robot}"
+
+    def denials(self, router: str) -> str:
+        return f"{self.root}/router/{router}/denials"
+
     @property
     def relative(self) -> str:
         return f"{self.root}/server/relative"
@@ -119,6 +125,9 @@ class Keys:
 
     def server_alive(self, epoch: str) -> str:
         return f"{self.root}/server/alive/{epoch}"
+
+    def check(self, role: str, name: str, nonce: str) -> str:
+        return f"{self.root}/check/{role}/{name}/{nonce}"
 
     def chunks(self, key: str) -> list[str]:
         """The chunks of a key behind `fleet/<site>/`, e.g. `["robot", "r7", "cloud"]`.

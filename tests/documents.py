@@ -98,7 +98,7 @@ def flags_of(command: Any) -> set[str]:
 
 
 def _take_option(here: Any, word: str, words: list[str], command: Command) -> None:
-    """Takes an option, and its value from the words behind it."""
+    """Takes an option, and its values from the words behind it."""
     flag, equals, _ = word.partition("=")
     options = [one for one in here.params if one.param_type_name == "option"]
     option = next((one for one in options if flag in (*one.opts, *one.secondary_opts)), None)
@@ -106,9 +106,9 @@ def _take_option(here: Any, word: str, words: list[str], command: Command) -> No
         raise WrongCommandError(f"{command}: '{flag}' is no option there")
     if option.is_flag or equals:
         return
-    if not words:
+    if len(words) < option.nargs:
         raise WrongCommandError(f"{command}: '{flag}' needs a value")
-    words.pop(0)
+    del words[: option.nargs]
 
 
 def _most_arguments(command: Any) -> float:

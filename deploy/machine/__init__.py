@@ -1,0 +1,1 @@
+"""A machine of the site: installing a bundle, and checking what is installed."""

@@ -1,0 +1,1 @@
+"""The site's keeper: names, certificates, rules, bundles."""
