@@ -3,8 +3,11 @@ members.
 """
 
 import json
+import random
 import shutil
+import socket
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +20,23 @@ from fleetpose.deploy.site.certificates import Issued
 from fleetpose.deploy.site.folder import Site
 from fleetpose.deploy.site.issuing import make_site
 from fleetpose.protocol.keys import Keys
-from fleetpose.protocol.transport import SessionSettings, free_port, open_session
+from fleetpose.protocol.transport import SessionSettings, open_session
 
 Change = Callable[[dict[str, Any]], object]
 
 
 def no_password() -> str:
     raise AssertionError("no password is needed")
+
+
+def listening_port() -> int:
+    """A free port of 127.0.0.1 from below those that are given to clients: who asks again and again
+    for a router that is not there may else be given its port, and so keep the router from it.
+    """
+    while True:
+        with socket.socket() as probe, suppress(OSError):
+            probe.bind(("127.0.0.1", random.randrange(20_000, 30_000)))
+            return probe.getsockname()[1]
 
 
 class Field:
@@ -47,7 +60,7 @@ class Field:
         self.folder = folder
         told = Site(
             site=site,
-            routers={name: f"127.0.0.1:{free_port()}" for name in routers},
+            routers={name: f"127.0.0.1:{listening_port()}" for name in routers},
             robots=robots,
             operators=operators,
             observers=observers,

@@ -12,7 +12,8 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from fleetpose.protocol.keys import Keys
-from fleetpose.protocol.transport import SessionSettings, free_port, open_session
+from fleetpose.protocol.transport import SessionSettings, open_session
+from tests.deploy.field_makers import listening_port
 from tests.documents import Command, commands_in
 
 ROOT = Path(__file__).parent.parent.parent
@@ -28,7 +29,7 @@ class Machines:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.image = folder, folder / "image"
-        self.port = free_port()
+        self.port = listening_port()
         self.router = None
         key = ec.generate_private_key(ec.SECP256R1())
         asked = x509.CertificateSigningRequestBuilder().subject_name(x509.Name([]))
