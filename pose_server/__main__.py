@@ -51,7 +51,7 @@ def run(
     from fleetpose.pose_server.app.build import build
     from fleetpose.pose_server.app.process import serve
 
-    serve(lambda: build(loaded))
+    serve(lambda stopped: build(loaded, stopped))
 
 
 @app.command()

@@ -23,6 +23,9 @@ class ServerSettings(ProcessSettings):
     listen: Endpoints = Field((), description="be the router as well, on these endpoints")
     connect: Endpoints = Field((), description="endpoints of the router")
     config: Path | None = Field(None, description="zenoh configuration (JSON5) that replaces both")
+    connect_timeout_s: float = Field(
+        -1.0, description="wait so long for a router at the start; negative: for ever"
+    )
     state_dir: Path = Field(Path("fleetpose-state"), description="where the journal is kept")
     workers: int = Field(
         default_factory=lambda: max(1, min(16, os.cpu_count() or 1)),

@@ -9,6 +9,7 @@ from typing import TypeVar
 
 import cv2
 
+from fleetpose.protocol.errors import EndedError
 from fleetpose.protocol.transport import SessionSettings
 from fleetpose.robot_agent.cameras.factory import open_camera
 from fleetpose.robot_agent.cameras.stereo.video import video_settings
@@ -49,6 +50,7 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
                 connect=settings.connect,
                 config_file=settings.config,
                 timeout_s=settings.connect_timeout_s,
+                stop=stop,
             ),
             site=settings.site,
             settings=SenderSettings(
@@ -72,6 +74,8 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
                 robot.name,
                 "asked" if stop.is_set() else "no more frames",
             )
+    except EndedError as error:
+        log.info("ended name=%s reason=%s", settings.name, error)
     finally:
         camera.close()
 

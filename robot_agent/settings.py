@@ -26,7 +26,9 @@ class RobotSettings(ProcessSettings):
         None,
         description="zenoh configuration (JSON5), replaces connect; for TLS and access control",
     )
-    connect_timeout_s: float = Field(10.0, description="wait for the router; negative: for ever")
+    connect_timeout_s: float = Field(
+        -1.0, description="wait so long for a router at the start; negative: for ever"
+    )
     camera: CameraKind = Field(
         description="rgbd, views, reconstruction, cloud, stereo or synthetic"
     )

@@ -120,6 +120,9 @@ def show_keys(keys_file: KeysFile = None) -> None:
 def watch(
     seconds: Annotated[float | None, typer.Option(help="stop after; default: Ctrl-C")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print JSON lines")] = False,
+    wait: Annotated[
+        bool, typer.Option("--wait/--no-wait", help="for router and server; else exit code 3")
+    ] = True,
     connect: c.Connect = c.DEFAULT_CONNECT,
     site: c.Site = c.DEFAULT_SITE,
     config: c.Config = None,
@@ -129,7 +132,7 @@ def watch(
     from fleetpose.hmi_client.cli.reports import Watcher, sentence
 
     where = c.Connection.of(connect, site, config, operator)
-    with suppress(KeyboardInterrupt), where.server() as session:
+    with suppress(KeyboardInterrupt), where.server(patient=wait) as session:
         watcher = Watcher(session)
         end = None if seconds is None else time.monotonic() + seconds
         while end is None or time.monotonic() < end:

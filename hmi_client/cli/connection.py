@@ -88,29 +88,41 @@ class Connection:
         return Client(session, Keys(self.site), open_link, each_pose)
 
     @contextmanager
-    def server(self) -> Iterator["OperatorSession"]:
+    def server(self, patient: bool = False) -> Iterator["OperatorSession"]:
         """A session that a server has been heard in.
+
+        Args:
+            patient: wait for router and server for ever, and say so.
 
         Raises:
             NoServerError: none was heard within 5 seconds.
         """
-        with self.client_of_server() as client:
+        with self.client_of_server(patient) as client:
             yield client.session
 
     @contextmanager
-    def client_of_server(self) -> Iterator["Client"]:
+    def client_of_server(self, patient: bool = False) -> Iterator["Client"]:
         """The same with the client around the session."""
         from fleetpose.hmi_client.model.session import OperatorSession
+        from fleetpose.protocol.session.opening import FOR_EVER
 
         session = OperatorSession(self.operator)
-        with self.client(session) as client:
+        with self.client(session, FOR_EVER if patient else SERVER_TIMEOUT_S) as client:
             if not session.wait_change({}, ("fleet",), SERVER_TIMEOUT_S):
-                where = self.config or ", ".join(self.connect)
-                raise NoServerError(
-                    f"no pose server of site '{self.site}' answered at {where} in "
-                    f"{SERVER_TIMEOUT_S:.0f} s; is 'pose-server run' running there?"
-                )
+                absent = self._no_server()
+                if not patient:
+                    raise NoServerError(absent)
+                typer.echo(f"{absent} Waiting for it.", err=True)
+                while not session.wait_change({}, ("fleet",), SERVER_TIMEOUT_S):
+                    pass
             yield client
+
+    def _no_server(self) -> str:
+        where = self.config or ", ".join(self.connect)
+        return (
+            f"no pose server of site '{self.site}' answered at {where} in "
+            f"{SERVER_TIMEOUT_S:.0f} s; is 'pose-server run' running there?"
+        )
 
 
 def default_operator() -> str:

@@ -2,12 +2,15 @@
 
 import logging
 import os
+import threading
+from contextlib import ExitStack
 from pathlib import Path
 
 # one thread per process: the workers are the parallelism
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
+from fleetpose.pose_server.app.metrics import Metrics  # noqa: E402
 from fleetpose.pose_server.app.service import Service  # noqa: E402
 from fleetpose.pose_server.correspondences.journal import Journal  # noqa: E402
 from fleetpose.pose_server.geometry.errors import MissingLibraryError  # noqa: E402
@@ -16,6 +19,8 @@ from fleetpose.pose_server.persistence.graph_writer import stored_graph  # noqa:
 from fleetpose.pose_server.persistence.restore import folder_files, restored_site  # noqa: E402
 from fleetpose.pose_server.scheduling.settings import Weights  # noqa: E402
 from fleetpose.pose_server.settings import ServerSettings  # noqa: E402
+from fleetpose.pose_server.workers.dask_pool import ClusterPool  # noqa: E402
+from fleetpose.pose_server.workers.pools import LocalPool  # noqa: E402
 from fleetpose.protocol.errors import FleetPoseError  # noqa: E402
 from fleetpose.protocol.keys import checked_name, ordered_pair  # noqa: E402
 from fleetpose.protocol.logs import log_to_stderr  # noqa: E402
@@ -24,14 +29,24 @@ from fleetpose.protocol.transport import Link, SessionSettings, open_session  # 
 log = logging.getLogger("pose_server")
 
 
-def build(settings: ServerSettings) -> Service:
-    """Opens the journal, then the session; what was journalled is there again.
+def build(settings: ServerSettings, stopped: threading.Event) -> Service:
+    """Judges the settings, opens the journal and what the settings name, and last the session, for
+    which it may have to wait; what was journalled is there again. What was opened is closed where
+    something fails.
+
+    Args:
+        settings: of the server.
+        stopped: set when the process is to end.
 
     Raises:
-        FleetPoseError: the journal is in use, the router is not there, a file is malformed, or a
-            library is missing.
+        FleetPoseError: the journal is in use, the router is not there in time, a file is
+            malformed, an address is taken, or a library is missing.
     """
     log_to_stderr()
+    endpoints = SessionSettings(
+        settings.connect, settings.listen, settings.config, settings.connect_timeout_s, stopped
+    )
+    endpoints.configuration()  # refused before anything is opened
     if settings.icp.startswith("point_to"):
         try:
             open3d()
@@ -39,20 +54,30 @@ def build(settings: ServerSettings) -> Service:
             raise FleetPoseError(f"--icp {settings.icp}: {error}") from error
     skip = frozenset() if settings.skip_pairs is None else read_pairs(settings.skip_pairs)
     journal_file, graph_file = folder_files(settings.state_dir)
-    journal = Journal(journal_file)
-    site = restored_site(
-        journal,
-        stored_graph(graph_file),
-        skip,
-        settings.anchor,
-        located_sigma=settings.located_sigma,
-        located_grave=settings.located_grave,
-        recipe=settings.recipe,
-        icp=settings.icp,
-        weights=Weights(settings.weight_clicks, settings.weight_error, settings.retry_s),
-    )
-    endpoints = SessionSettings(settings.connect, settings.listen, settings.config)
-    return Service(site, journal, Link(open_session(endpoints)), settings)
+    with ExitStack() as opened:
+        metrics = None if settings.metrics is None else Metrics(settings.metrics)
+        if metrics is not None:
+            opened.callback(metrics.close)
+        journal = Journal(journal_file)
+        opened.callback(journal.close)
+        site = restored_site(
+            journal,
+            stored_graph(graph_file),
+            skip,
+            settings.anchor,
+            located_sigma=settings.located_sigma,
+            located_grave=settings.located_grave,
+            recipe=settings.recipe,
+            icp=settings.icp,
+            weights=Weights(settings.weight_clicks, settings.weight_error, settings.retry_s),
+        )
+        pool = ClusterPool(settings.cluster) if settings.cluster else LocalPool(settings.workers)
+        opened.callback(pool.close)
+        link = Link(open_session(endpoints))
+        opened.callback(link.close)
+        service = Service(site, journal, link, settings, pool, metrics, stopped)
+        opened.pop_all()
+    return service
 
 
 def read_pairs(path: Path) -> frozenset[tuple[str, str]]:

@@ -41,9 +41,8 @@ from fleetpose.pose_server.scheduling.pair_queue import compare_some
 from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.state.views import open_view
-from fleetpose.pose_server.workers.dask_pool import ClusterPool
 from fleetpose.pose_server.workers.jobs import Done
-from fleetpose.pose_server.workers.pools import Engine, LocalPool
+from fleetpose.pose_server.workers.pools import Engine, Pool
 from fleetpose.protocol.codec import pack
 from fleetpose.protocol.drops import Drops
 from fleetpose.protocol.errors import CodecError, FleetPoseError
@@ -66,22 +65,33 @@ _ANSWER_S = 2.0
 
 
 class Service:
-    """A running pose server."""
+    """A running pose server. What it is given is its own to close.
 
-    def __init__(self, site: Site, journal: Journal, link: Link, settings: ServerSettings) -> None:
+    Attributes:
+        stopped: set to end it.
+    """
+
+    def __init__(
+        self,
+        site: Site,
+        journal: Journal,
+        link: Link,
+        settings: ServerSettings,
+        pool: Pool,
+        metrics: Metrics | None,
+        stopped: threading.Event,
+    ) -> None:
         self.site, self.journal, self.link, self.settings = site, journal, link, settings
         self.keys = Keys(settings.site)
         self.epoch = new_epoch()
-        self.stopped = threading.Event()
-        # first of all: once workers run, a refused address could no longer end the process
-        self._metrics = None if settings.metrics is None else Metrics(settings.metrics)
+        self.stopped = stopped
+        self._metrics = metrics
         self._queue: queue.SimpleQueue[object] = queue.SimpleQueue()
         self._drops = Drops()
         self._events = EventQueue(self.keys, self._queue, self._drops)
         put = Publishers(link).put
         self._publisher = FleetPublisher(site, self.keys, settings, self.epoch, put)
         self._clouds = link.on_bulk(self.keys.cloud("*"), self._events.wake)
-        pool = ClusterPool(settings.cluster) if settings.cluster else LocalPool(settings.workers)
         self._engine = Engine(pool, self._queue.put)
         self._fetcher = Fetcher(self.keys, link.query, self._queue.put, self._drops)
         self._pending = PendingUpdates(self._fetcher.ask)
