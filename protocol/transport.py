@@ -123,7 +123,6 @@ class Link:
                 lambda sample: callback(_detached(sample)),
                 history=ext.HistoryConfig(detect_late_publishers=True),
                 recovery=ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
-                subscriber_detection=True,
             )
         )
 
