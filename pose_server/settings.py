@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 from pydantic_settings import SettingsConfigDict
@@ -18,6 +18,7 @@ class ServerSettings(ProcessSettings):
     """How a pose server runs. Every default works."""
 
     model_config = SettingsConfigDict(env_prefix="FLEETPOSE_SERVER_")
+    roles: ClassVar[tuple[str, ...]] = ("server",)
 
     site: Name = Field("demo", description="name of the site, a chunk of every key")
     listen: Endpoints = Field((), description="be the router as well, on these endpoints")

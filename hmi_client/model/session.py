@@ -6,7 +6,7 @@ command it.
 
 import time
 from collections.abc import Callable
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.fleet_model import FleetModel
@@ -30,7 +30,12 @@ class OperatorSession(FleetModel):
         threshold_m: errors above it are shown as a hyphen; default: a share of the scene's depth.
         kept: where updates are kept on disk until they are receipted; what another client of the
             operator left there is sent.
+
+    Attributes:
+        acts: whether what the operator does goes out.
     """
+
+    acts: ClassVar[bool] = True
 
     def __init__(
         self,

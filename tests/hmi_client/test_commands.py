@@ -9,7 +9,7 @@ import pytest
 from hmi_fakes import alignment, wait_for
 
 from fleetpose.hmi_client.__main__ import main
-from fleetpose.protocol.transport import free_port
+from fleetpose.protocol.transport import Link, SessionSettings, free_port, open_session
 
 
 @pytest.fixture
@@ -213,3 +213,49 @@ def test_a_screenshot_shows_the_fleet(hmi, serve, tmp_path):
     svg = out.read_text()
     assert "view&#160;" in svg and "fleet&#160;from&#160;above" in svg and "▀" in svg
     wait_for(lambda: not server.image_wanted("r1"))  # the client has left
+
+
+@pytest.fixture
+def link(router):
+    """A link of somebody who listens."""
+    opened = Link(open_session(SessionSettings(connect=(router,), timeout_s=5)))
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def configured(router, tmp_path):
+    """Writes a configuration for the router: `configured("observer", "wall")`."""
+
+    def write(role: str, name: str, site: str = "demo") -> str:
+        file = tmp_path / f"{role}.json5"
+        metadata = {"fleetpose": {"site": site, "role": role, "name": name}}
+        quiet = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
+        content = {"mode": "client", "metadata": metadata, "scouting": quiet}
+        file.write_text(json.dumps(content | {"connect": {"endpoints": [router]}}))
+        return str(file)
+
+    return write
+
+
+def test_an_observer_sees_all_and_says_nothing(hmi, serve, link, configured):
+    server = serve()
+    said = link.on_bulk("fleet/demo/operator/**")
+    wall = ("--config", configured("observer", "wall"))
+    assert "4 of 6 robots located" in hmi("status", *wall)
+    assert "you may only look" in hmi(
+        "correspondences", "add", "r1", "r2", "1,2,3,4", *wall, code=2
+    )
+    assert not server.updates and not server.selections and said.take(0) is None
+
+
+def test_an_operators_name_and_site_are_the_configurations(hmi, serve, configured):
+    server = serve()
+    anna = ("--config", configured("operator", "anna"))
+    hmi("correspondences", "add", "r1", "r2", "10,20,30,40", *anna)
+    assert {update.operator for update in server.updates} == {"anna"}
+    refused = hmi("status", *anna, "--operator", "ben", code=2)
+    assert "--operator ben" in refused and "operator 'anna' of site 'demo'" in refused
+    elsewhere = configured("operator", "anna", site="church")
+    assert "--site demo" in hmi("status", "--config", elsewhere, "--site", "demo", code=2)
+    assert "site 'church' answered" in hmi("status", "--config", elsewhere, code=3)
