@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import TypeVar
 
+from fleetpose.pose_server.state.site import MAX_EPOCHS
 from fleetpose.protocol.codec import unpack
 from fleetpose.protocol.drops import Drops
 from fleetpose.protocol.errors import CodecError, FleetPoseError
@@ -20,6 +21,8 @@ from fleetpose.protocol.transport import Answer, Link, Sample
 
 M = TypeVar("M", bound=Message)
 MAX_WAITING = 10_000  # an operator's client repeats what it sent; a token that is lost is rare
+MAX_TOKENS = MAX_EPOCHS
+MAX_NAMES = 2000
 _EPOCH = re.compile(EPOCH_PATTERN)
 
 
@@ -84,6 +87,7 @@ class EventQueue:
 
     def __init__(self, keys: Keys, store: "SimpleQueue[object]", drops: Drops) -> None:
         self._keys, self._store, self._drops = keys, store, drops
+        self._tokens: dict[str, set[str]] = {}  # by robot; written in the callback of tokens alone
 
     def subscribe(self, link: Link) -> None:
         """Declares all subscriptions but that of the clouds."""
@@ -130,8 +134,34 @@ class EventQueue:
             _, robot, _, epoch = self._keys.chunks(key)
             if not _EPOCH.fullmatch(epoch):
                 raise CodecError(f"token with the epoch '{epoch}'")
+            if not (self._comes(robot, epoch) if alive else self._goes(robot, epoch)):
+                return
         except FleetPoseError as error:
             if alive:  # once for its coming and going
                 self._drops.note(key, error)
             return
         self._store.put(TokenSeen(robot, epoch, alive))
+
+    def _comes(self, robot: str, epoch: str) -> bool:
+        """Whether a token is taken: who shows thousands must not keep the server's thread busy.
+
+        Raises:
+            CodecError: there is no room for it.
+        """
+        there = self._tokens.get(robot, set())
+        if epoch not in there and len(there) >= MAX_TOKENS:
+            raise CodecError(f"too many tokens under one name: {MAX_TOKENS} of '{robot}'")
+        if robot not in self._tokens and len(self._tokens) >= MAX_NAMES:
+            raise CodecError(f"tokens under more than {MAX_NAMES} names")
+        self._tokens.setdefault(robot, set()).add(epoch)
+        return True
+
+    def _goes(self, robot: str, epoch: str) -> bool:
+        """Whether a token that goes was taken when it came."""
+        there = self._tokens.get(robot, set())
+        if epoch not in there:
+            return False
+        there.remove(epoch)
+        if not there:
+            del self._tokens[robot]
+        return True
