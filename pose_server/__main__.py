@@ -70,7 +70,7 @@ def router(
     On a machine that others connect to: --listen tcp/0.0.0.0:7447. It then lets in everybody who
     reaches it, unencrypted, unless a configuration says otherwise.
     """
-    from fleetpose.pose_server.app.router import route
+    from fleetpose.pose_server.routing.router import route
 
     route(tuple(listen or ["tcp/127.0.0.1:7447"]), config)
 

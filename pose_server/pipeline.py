@@ -72,6 +72,13 @@ def receive_view(site: Site, view: KeptView) -> None:
         newest_arrived(site, robot, view)
 
 
+def refuse_view(site: Site, name: str, reason: str) -> None:
+    """A view of a robot cannot be used; why is told where its robot is asked about."""
+    robot = site.robots.get(name)
+    if robot is not None:
+        robot.refuse(reason)
+
+
 def receive_fetched(site: Site, view: KeptView) -> None:
     """Keeps a view that was asked of its robot because an operator looks at it."""
     if view.name not in site.views:

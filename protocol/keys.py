@@ -82,6 +82,12 @@ class Keys:
     def poses(self) -> str:
         return f"{self.root}/pose/**"
 
+    def heard(self, robot: str) -> str:
+        return f"{self.root}/heard/{robot}"
+
+    def denials(self, router: str) -> str:
+        return f"{self.root}/router/{router}/denials"
+
     @property
     def relative(self) -> str:
         return f"{self.root}/server/relative"

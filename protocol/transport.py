@@ -264,6 +264,7 @@ def _detached(sample: zenoh.Sample) -> Sample:
         sample.payload.to_bytes(),
         str(sample.encoding),
         None if sample.attachment is None else sample.attachment.to_bytes(),
+        time.monotonic(),
     )
 
 

@@ -14,6 +14,7 @@ from functools import partial
 
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.app import queries
+from fleetpose.pose_server.app.acknowledgements import Acknowledgements
 from fleetpose.pose_server.app.event_queue import (
     Asked,
     EventQueue,
@@ -44,12 +45,12 @@ from fleetpose.pose_server.state.views import open_view
 from fleetpose.pose_server.workers.jobs import Done
 from fleetpose.pose_server.workers.pools import Engine, Pool
 from fleetpose.protocol.codec import pack
-from fleetpose.protocol.drops import Drops
+from fleetpose.protocol.drops import Drops, kind_and_sender
 from fleetpose.protocol.errors import CodecError, FleetPoseError
 from fleetpose.protocol.keys import Keys, new_epoch, ordered_pair
 from fleetpose.protocol.messages import KeptView, OperatorUpdate, ViewName
 from fleetpose.protocol.presence import Presence
-from fleetpose.protocol.transport import Answer, Link
+from fleetpose.protocol.transport import Answer, Link, Sample
 
 log = logging.getLogger("pose_server")
 
@@ -57,6 +58,7 @@ _TICK_S = 0.05
 _PRUNE_S = 2.0
 _GRAPH_S = 2.0  # of which a kill may cost the graph
 _STATUS_S = 1.0
+_HEARD_S = 1.0  # robots take a longer silence for a loss
 _ALARMS_S = 5.0
 _SOLVE_SHARE = 0.25  # of the server's own thread that solving may take
 _LONGEST_PAUSE_S = 1.0  # but poses must not wait longer for the next solution
@@ -91,6 +93,7 @@ class Service:
         self._events = EventQueue(self.keys, self._queue, self._drops)
         put = Publishers(link).put
         self._publisher = FleetPublisher(site, self.keys, settings, self.epoch, put)
+        self._heard = Acknowledgements(site, self.keys, self.epoch, put, self._drops)
         self._clouds = link.on_bulk(self.keys.cloud("*"), self._events.wake)
         self._engine = Engine(pool, self._queue.put)
         self._fetcher = Fetcher(self.keys, link.query, self._queue.put, self._drops)
@@ -226,8 +229,15 @@ class Service:
                 monitor.note_arrival(self.site, view, time.time_ns())
                 pipeline.receive_view(self.site, view)
                 good += 1
+                self._heard.tell(view.name.robot, sample.at_s)
             except FleetPoseError as error:
-                self._drops.note(sample.key, error)
+                self._refuse(sample, error)
+
+    def _refuse(self, sample: Sample, error: FleetPoseError) -> None:
+        """Counts a view that cannot be used, and keeps why at its robot."""
+        self._drops.note(sample.key, error)
+        _, _, name = kind_and_sender(sample.key)[1].partition("/")
+        pipeline.refuse_view(self.site, name, str(error))
 
     def _viewed(self, kept: KeptView) -> None:
         """Takes the newest view of a robot that was there before this server."""
@@ -374,6 +384,8 @@ class Service:
                 "no_room": self._clouds.overflowed,
             }
             self._publish_status(drops)
+        if self._due("heard", _HEARD_S):
+            self._heard.tell_all()
         if self._due("alarms", _ALARMS_S):
             monitor.judge_calibrations(self.site)
         if self._due("graph", _GRAPH_S):

@@ -113,19 +113,21 @@ def robot_pose(
 
 def why_not_located(site: Site, robot: Robot, settings: ServerSettings, now_s: float) -> str:
     """Why a robot is not located; empty if it is."""
+    count, reason = robot.refused
     if robot.newest is None:
-        return (
-            "alive, but no view arrived: is its camera running, may it publish?"
-            if robot.alive
-            else "not there"
-        )
+        if not robot.alive:
+            return "not there"
+        if count:
+            return f"alive, but its views are refused, {count} so far: {reason}"
+        return "alive, but no view arrived: is its camera running, may it publish?"
     if absent := _absent(robot) or why_doubted(site, robot):
         return absent
     pose = robot.published
     if pose is None:
         return "its views are not aligned yet"
     if now_s - site.views[robot.newest].received_s > settings.fresh_s:
-        return f"its newest view is {now_s - site.views[robot.newest].received_s:.0f} s old"
+        old = f"its newest view is {now_s - site.views[robot.newest].received_s:.0f} s old"
+        return f"{old}: {count} since were refused: {reason}" if count else old
     placed = site.camera_pose(pose.view) if pose.view in site.views else None
     if placed is None or placed[2] is None:
         return "its newest view does not hang on the fleet's graph"
