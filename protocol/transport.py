@@ -18,7 +18,8 @@ import zenoh
 from zenoh import ext
 
 from fleetpose.protocol.errors import FleetPoseError, UnreachableError
-from fleetpose.protocol.session.opening import SessionSettings, open_session
+from fleetpose.protocol.session.opening import SessionSettings as SessionSettings
+from fleetpose.protocol.session.opening import open_session as open_session
 from fleetpose.protocol.slots import Sample, Slots
 from fleetpose.protocol.text import one_line
 
@@ -266,20 +267,6 @@ def _detached(sample: zenoh.Sample) -> Sample:
         None if sample.attachment is None else sample.attachment.to_bytes(),
         time.monotonic(),
     )
-
-
-def run_router(settings: SessionSettings, stop: threading.Event) -> None:
-    """Runs a router until the event is set; the settings make the session one.
-
-    Raises:
-        UnreachableError: an endpoint is taken.
-    """
-    session = open_session(settings)
-    try:
-        while not stop.wait(0.5):
-            pass
-    finally:
-        session.close()
 
 
 def wait_until(condition: Callable[[], bool], timeout_s: float, poll_s: float = 0.02) -> bool:

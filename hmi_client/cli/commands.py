@@ -19,7 +19,7 @@ from fleetpose.hmi_client.settings import ClientSettings
 from fleetpose.protocol.commands import Version
 from fleetpose.protocol.settings import DumpSettings
 
-ALIGNMENTS_S = 1.0  # they are latched: what has not come by then was never told
+LATCHED_S = 1.0  # what is latched and has not come by then was never told
 
 app = typer.Typer(
     no_args_is_help=False,
@@ -152,9 +152,11 @@ def status(
 ) -> None:
     """Prints the server's load, the robots and what is asked; exit code 3 without a server."""
     from fleetpose.hmi_client.cli.reports import status_text
+    from fleetpose.protocol.transport import wait_until
 
     with c.Connection.of(connect, site, config, operator).server() as session:
         session.wait_change({}, ("status",), 2.0)
+        wait_until(lambda: set(session.robots()) <= set(session.versions), LATCHED_S, poll_s=0.1)
         typer.echo(status_text(session))
 
 
@@ -177,7 +179,7 @@ def why(
         session.robot(robot)
         wait_for_sets(session)
         tried = set(tried_pairs(session, robot))
-        wait_until(lambda: tried <= set(session.alignments(robot)), ALIGNMENTS_S, poll_s=0.1)
+        wait_until(lambda: tried <= set(session.alignments(robot)), LATCHED_S, poll_s=0.1)
         record = why_record(session, robot, session.alignments(robot))
     typer.echo(json.dumps(record, indent=1) if as_json else why_text(record))
     raise typer.Exit(0 if record["located"] else 1)

@@ -14,7 +14,7 @@ from fleetpose.protocol.codec import unpack
 from fleetpose.protocol.drops import Drops
 from fleetpose.protocol.errors import CodecError, FleetPoseError
 from fleetpose.protocol.keys import Keys
-from fleetpose.protocol.messages import Odometry, OperatorUpdate, Selection
+from fleetpose.protocol.messages import Denials, Odometry, OperatorUpdate, Selection
 from fleetpose.protocol.messages.base import Message
 from fleetpose.protocol.messages.fields import EPOCH_PATTERN
 from fleetpose.protocol.transport import Answer, Link, Sample
@@ -50,6 +50,13 @@ class Moved:
     """A robot said where it is in its own odometry frame."""
 
     odometry: Odometry
+
+
+@dataclass(frozen=True)
+class Denied:
+    """A router said what its rules deny."""
+
+    denials: Denials
 
 
 @dataclass(frozen=True)
@@ -94,6 +101,7 @@ class EventQueue:
         link.on_latched(self._keys.updates("*"), self._update)
         link.on_latched(self._keys.selection("*"), self._selection)
         link.on_latched(self._keys.odometry("*"), self._odometry)
+        link.on_latched(self._keys.denials("*"), self._denials)
         link.on_alive(self._keys.robot_alive("*", "*"), self._token)
 
     def wake(self) -> None:
@@ -109,6 +117,9 @@ class EventQueue:
 
     def _odometry(self, sample: Sample) -> None:
         self._read(sample, Odometry, Moved, owner="robot")
+
+    def _denials(self, sample: Sample) -> None:
+        self._read(sample, Denials, Denied, owner="router")
 
     def _read(
         self,

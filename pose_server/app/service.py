@@ -17,6 +17,7 @@ from fleetpose.pose_server.app import queries
 from fleetpose.pose_server.app.acknowledgements import Acknowledgements
 from fleetpose.pose_server.app.event_queue import (
     Asked,
+    Denied,
     EventQueue,
     Moved,
     Selected,
@@ -195,6 +196,8 @@ class Service:
                 self._token(event)
             case Moved():
                 self.site.odometers.note(event.odometry)
+            case Denied():
+                pipeline.receive_denials(self.site, event.denials)
             case ServerEvent():
                 self.site.say(event.text)
             case Asked():

@@ -1,16 +1,60 @@
-"""A zenoh router as a process of its own: used as soon as a second process or machine joins."""
+"""A zenoh router as a process of its own: used as soon as a second process or machine joins.
 
+Where its configuration says whose it is, it tells what its rules deny and whom it does not let in:
+who is denied learns nothing of it.
+"""
+
+import logging
 import signal
 import threading
 from pathlib import Path
 
-from fleetpose.protocol.transport import SessionSettings, run_router
+from fleetpose.pose_server.routing.denials import DenialCounts
+from fleetpose.pose_server.routing.zenoh_log import ZenohLog
+from fleetpose.protocol.codec import encoding_of, pack
+from fleetpose.protocol.keys import Keys, new_epoch
+from fleetpose.protocol.logs import log_to_stderr
+from fleetpose.protocol.messages import Denials
+from fleetpose.protocol.session.identity import Identity, identity_in
+from fleetpose.protocol.transport import Link, SessionSettings, open_session
+
+log = logging.getLogger("router")
+
+_TELL_S = 1.0
 
 
 def route(listen: tuple[str, ...], config: Path | None) -> None:
-    """Routes until SIGTERM or SIGINT; a zenoh configuration replaces the endpoints."""
+    """Routes until SIGTERM or SIGINT; a zenoh configuration replaces the endpoints.
+
+    Raises:
+        EndpointError: an endpoint is taken, or the configuration cannot be used.
+    """
+    log_to_stderr()
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
+    identity = None if config is None else identity_in(config, ("router",))
     print(f"router on {config or ', '.join(listen)}", flush=True)
-    run_router(SessionSettings(listen=listen, config_file=config), stop)
+    counts = DenialCounts()
+    with ZenohLog(counts.read):
+        link = Link(open_session(SessionSettings(listen=listen, config_file=config)))
+        try:
+            _tell(link, identity, counts, stop)
+        finally:
+            link.close()
+
+
+def _tell(
+    link: Link, identity: Identity | None, counts: DenialCounts, stop: threading.Event
+) -> None:
+    """Publishes the denials when there are others, once a second at most."""
+    if identity is None:
+        stop.wait()
+        return
+    publisher = link.latched(Keys(identity.site).denials(identity.name))
+    epoch, told = new_epoch(), None
+    while not stop.wait(_TELL_S):
+        message = counts.message(identity.name, epoch)
+        if message != told:
+            told = message
+            publisher.put(pack(message), encoding_of(Denials))

@@ -5,10 +5,13 @@ import json
 import subprocess
 import sys
 
+import hmi_fakes
+import hmi_server
 import pytest
-from hmi_fakes import alignment, wait_for
+from hmi_fakes import CAMERA, ROBOT_EPOCH, alignment, wait_for
 
 from fleetpose.hmi_client.__main__ import main
+from fleetpose.protocol.messages import CameraAnnouncement, Denial
 from fleetpose.protocol.transport import Link, SessionSettings, free_port, open_session
 
 
@@ -247,6 +250,29 @@ def test_an_observer_sees_all_and_says_nothing(hmi, serve, link, configured):
         "correspondences", "add", "r1", "r2", "1,2,3,4", *wall, code=2
     )
     assert not server.updates and not server.selections and said.take(0) is None
+
+
+def test_status_tells_denials_and_robots_of_another_version(hmi, serve, monkeypatch):
+    cloud = "fleet/demo/robot/r1/cloud"
+    denied = tuple(
+        Denial(who="robot/r2", what=what, key=cloud, n=n)
+        for what, n in (("Put (ingress)", 31), ("Query (ingress)", 4), ("a", 3), ("b", 2))
+    )
+    changed = {"denied": denied, "refused": {"expired": 3}}
+    monkeypatch.setattr(
+        hmi_server, "status", lambda *told: hmi_fakes.status(*told).model_copy(update=changed)
+    )
+    server = serve(live=False)
+    for robot, version in (("r1", "0.1.0"), ("r2", "0.0.9"), ("r3", "")):
+        announced = CameraAnnouncement(
+            robot=robot, epoch=ROBOT_EPOCH, camera=CAMERA, rate_hz=1.0, version=version
+        )
+        server.put(server.keys.camera(robot), announced)
+    said = hmi("status")
+    assert f"denied to robot/r2: Put (ingress) on {cloud} 31, Query (ingress) on {cloud} 4" in said
+    assert "and 1 more kinds" in said and "turned away: expired 3" in said
+    assert "not of the server's version 0.1.0: " in said and "r1 0.1.0" not in said
+    assert "r2 0.0.9, r3 an older one" in said
 
 
 def test_an_operators_name_and_site_are_the_configurations(hmi, serve, configured):
