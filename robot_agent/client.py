@@ -271,6 +271,11 @@ class FleetRobot:
         """
         return self._sender.heard_age_s()
 
+    @property
+    def unheard_s(self) -> float:
+        """For how long views have been sent of which the server has none; 0 where it has them."""
+        return self._sender.unheard_s()
+
     def _is_confirmed(self) -> bool:
         """Whether the server that lives is one that says which views it has."""
         return self._hearing.newest is not None

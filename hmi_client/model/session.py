@@ -15,7 +15,7 @@ from fleetpose.hmi_client.model.records import HalfPick, Pair, Picture, PixelUV
 from fleetpose.hmi_client.network.outbox import Ticket
 from fleetpose.hmi_client.network.update_log import UpdateLog
 from fleetpose.protocol.keys import checked_name, ordered_pair
-from fleetpose.protocol.messages import OperatorUpdate, Selection, ViewName
+from fleetpose.protocol.messages import Denial, OperatorUpdate, Selection, ViewName
 
 T = TypeVar("T")
 
@@ -62,6 +62,13 @@ class OperatorSession(FleetModel):
     def seconds_selected(self) -> float:
         """How long the present pair has been selected."""
         return self.clock() - self._selected_s
+
+    @property
+    def denied(self) -> tuple[Denial, ...]:
+        """What routers deny to this operator of his own, as the server told last."""
+        status, own = self.status, f"operator/{self.operator}"
+        denied = () if status is None else status.denied
+        return tuple(d for d in denied if d.who.partition("#")[0] == own and f"/{own}/" in d.key)
 
     # ---- what to look at -------------------------------------------------------------------------
 

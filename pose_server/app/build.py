@@ -24,12 +24,15 @@ from fleetpose.pose_server.workers.pools import LocalPool  # noqa: E402
 from fleetpose.protocol.errors import FleetPoseError  # noqa: E402
 from fleetpose.protocol.keys import checked_name, ordered_pair  # noqa: E402
 from fleetpose.protocol.logs import log_to_stderr  # noqa: E402
+from fleetpose.protocol.session.supervisor import Supervisor  # noqa: E402
 from fleetpose.protocol.transport import Link, SessionSettings, open_session  # noqa: E402
 
 log = logging.getLogger("pose_server")
 
 
-def build(settings: ServerSettings, stopped: threading.Event) -> Service:
+def build(
+    settings: ServerSettings, stopped: threading.Event, systemd: Supervisor | None = None
+) -> Service:
     """Judges the settings, opens the journal and what the settings name, and last the session, for
     which it may have to wait; what was journalled is there again. What was opened is closed where
     something fails.
@@ -37,14 +40,21 @@ def build(settings: ServerSettings, stopped: threading.Event) -> Service:
     Args:
         settings: of the server.
         stopped: set when the process is to end.
+        systemd: is told how it is.
 
     Raises:
         FleetPoseError: the journal is in use, the router is not there in time, a file is
             malformed, an address is taken, or a library is missing.
     """
     log_to_stderr()
+    systemd = systemd or Supervisor()
     endpoints = SessionSettings(
-        settings.connect, settings.listen, settings.config, settings.connect_timeout_s, stopped
+        settings.connect,
+        settings.listen,
+        settings.config,
+        settings.connect_timeout_s,
+        stopped,
+        systemd.alive,
     )
     endpoints.configuration()  # refused before anything is opened
     if settings.icp.startswith("point_to"):
@@ -73,9 +83,10 @@ def build(settings: ServerSettings, stopped: threading.Event) -> Service:
         )
         pool = ClusterPool(settings.cluster) if settings.cluster else LocalPool(settings.workers)
         opened.callback(pool.close)
+        systemd.ready()
         link = Link(open_session(endpoints))
         opened.callback(link.close)
-        service = Service(site, journal, link, settings, pool, metrics, stopped)
+        service = Service(site, journal, link, settings, pool, metrics, stopped, systemd)
         opened.pop_all()
     return service
 

@@ -51,6 +51,7 @@ from fleetpose.protocol.errors import CodecError, FleetPoseError
 from fleetpose.protocol.keys import Keys, new_epoch, ordered_pair
 from fleetpose.protocol.messages import KeptView, OperatorUpdate, ViewName
 from fleetpose.protocol.presence import Presence
+from fleetpose.protocol.session.supervisor import Supervisor
 from fleetpose.protocol.transport import Answer, Link, Sample
 
 log = logging.getLogger("pose_server")
@@ -83,11 +84,13 @@ class Service:
         pool: Pool,
         metrics: Metrics | None,
         stopped: threading.Event,
+        systemd: Supervisor,
     ) -> None:
         self.site, self.journal, self.link, self.settings = site, journal, link, settings
         self.keys = Keys(settings.site)
         self.epoch = new_epoch()
         self.stopped = stopped
+        self._systemd = systemd
         self._metrics = metrics
         self._queue: queue.SimpleQueue[object] = queue.SimpleQueue()
         self._drops = Drops()
@@ -148,6 +151,7 @@ class Service:
 
     def close(self) -> None:
         """Ends the workers and the session."""
+        self._systemd.stopping()
         if self._metrics is not None:
             self._metrics.close()
         self._fetcher.close()
@@ -400,11 +404,10 @@ class Service:
         now = self._publisher.stamp()
         status = server_status(self.site, self._engine, self._load, self._stages, now, drops)
         self._publisher.put(self.keys.status, status)
+        robots = self.site.robots.values()
+        located = sum(r.alive and r.published is not None and r.published.located for r in robots)
+        self._systemd.alive(f"{located} of {len(robots)} robots located")
         if self._metrics is not None:
-            robots = self.site.robots.values()
-            located = sum(
-                r.alive and r.published is not None and r.published.located for r in robots
-            )
             self._metrics.show(status, len(robots), located)
 
     def _prune(self) -> None:

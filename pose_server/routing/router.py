@@ -7,6 +7,7 @@ who is denied learns nothing of it.
 import logging
 import signal
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 from fleetpose.pose_server.routing.denials import DenialCounts
@@ -16,6 +17,7 @@ from fleetpose.protocol.keys import Keys, new_epoch
 from fleetpose.protocol.logs import log_to_stderr
 from fleetpose.protocol.messages import Denials
 from fleetpose.protocol.session.identity import Identity, identity_in
+from fleetpose.protocol.session.supervisor import Supervisor
 from fleetpose.protocol.transport import Link, SessionSettings, open_session
 
 log = logging.getLogger("router")
@@ -35,26 +37,30 @@ def route(listen: tuple[str, ...], config: Path | None) -> None:
         signal.signal(number, lambda *_: stop.set())
     identity = None if config is None else identity_in(config, ("router",))
     print(f"router on {config or ', '.join(listen)}", flush=True)
-    counts = DenialCounts()
+    counts, systemd = DenialCounts(), Supervisor()
     with ZenohLog(counts.read):
         link = Link(open_session(SessionSettings(listen=listen, config_file=config)))
+        systemd.ready()
+        tell = (lambda: None) if identity is None else _teller(link, identity, counts)
         try:
-            _tell(link, identity, counts, stop)
+            while not stop.wait(_TELL_S):
+                tell()
+                systemd.alive(f"{sum(counts.refused.values())} handshakes failed")
         finally:
+            systemd.stopping()
             link.close()
 
 
-def _tell(
-    link: Link, identity: Identity | None, counts: DenialCounts, stop: threading.Event
-) -> None:
-    """Publishes the denials when there are others, once a second at most."""
-    if identity is None:
-        stop.wait()
-        return
+def _teller(link: Link, identity: Identity, counts: DenialCounts) -> Callable[[], None]:
+    """What publishes the denials when there are others than before."""
     publisher = link.latched(Keys(identity.site).denials(identity.name))
     epoch, told = new_epoch(), None
-    while not stop.wait(_TELL_S):
+
+    def tell() -> None:
+        nonlocal told
         message = counts.message(identity.name, epoch)
         if message != told:
             told = message
             publisher.put(pack(message), encoding_of(Denials))
+
+    return tell

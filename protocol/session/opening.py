@@ -5,6 +5,7 @@ connected as soon as any of its routers is there.
 import logging
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,6 +35,7 @@ class SessionSettings:
         timeout_s: how long to wait for a router, which is asked at least once; negative waits for
             ever, and says so.
         stop: ends the waiting when it is set.
+        waiting: is told, at each try, what is waited for.
     """
 
     connect: tuple[str, ...] = ()
@@ -41,6 +43,7 @@ class SessionSettings:
     config_file: Path | None = None
     timeout_s: float = 10.0
     stop: threading.Event | None = None
+    waiting: Callable[[str], None] = lambda status: None
 
     def configuration(self) -> Configuration:
         """The zenoh configuration of it.
@@ -85,6 +88,7 @@ def _connected(config: Configuration, settings: SessionSettings) -> zenoh.Sessio
             reason = f"no zenoh router at {where}: {without_source(str(error))}"
             if 0 <= settings.timeout_s <= waited_s:
                 raise UnreachableError(reason) from error
+            settings.waiting(f"waiting for a router at {where}")
             if settings.timeout_s < 0 and waited_s >= say_s:
                 log.warning("%s; waiting for it", reason)
                 say_s = waited_s + _SAID_AGAIN_S

@@ -4,6 +4,7 @@ import csv
 import json
 import subprocess
 import sys
+import threading
 
 import hmi_fakes
 import hmi_server
@@ -56,6 +57,31 @@ def test_without_a_receipt_it_says_that_nothing_is_known_and_exits_with_3(hmi, s
     serve(mute=True)
     output = hmi("correspondences", "add", "r1", "r2", "1,2,3,4", "--timeout", "0.5", code=3)
     assert "not known" in output
+
+
+def test_clicks_that_a_router_denies_are_told_from_those_that_nobody_hears(hmi, serve, monkeypatch):
+    updates = "fleet/demo/operator/anna/correspondences"
+    denied = (
+        Denial(who="operator/ben", what="Put (ingress)", key=updates, n=9),
+        Denial(who="operator/anna#2", what="Put (ingress)", key="fleet/demo/pose/r1", n=9),
+        Denial(who="operator/anna#2", what="Put (ingress)", key=updates, n=1),
+    )
+    monkeypatch.setattr(
+        hmi_server,
+        "status",
+        lambda *told: hmi_fakes.status(*told).model_copy(update={"denied": denied}),
+    )
+    server = serve(mute=True)
+    add = ("correspondences", "add", "r1", "r2", "1,2,3,4", "--operator")
+    assert f"denied by the router's rules: Put (ingress) on {updates}" in hmi(
+        *add, "anna", "--timeout", "1", code=3
+    )
+    assert "the server is there, but" in hmi(*add, "carl", "--timeout", "1", code=3)
+
+    ending = threading.Timer(3.0, server.close)
+    ending.start()
+    assert "not heard, no server is there" in hmi(*add, "carl", "--timeout", "9", code=3)
+    ending.join()
 
 
 def test_erase_clear_and_list(hmi, serve):
