@@ -1,7 +1,8 @@
 """Settings of the operator's client; in the environment `FLEETPOSE_HMI_SITE` and so on."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import click
 from pydantic import Field
@@ -14,6 +15,8 @@ class ClientSettings(ProcessSettings):
     """What a settings file of `hmi-client` may hold."""
 
     model_config = SettingsConfigDict(env_prefix="FLEETPOSE_HMI_")
+    roles: ClassVar[tuple[str, ...]] = ("operator", "observer")
+    identified: ClassVar[Mapping[str, str]] = {"site": "site", "name": "operator"}
 
     connect: Endpoints = Field(("tcp/127.0.0.1:7447",), description="endpoints of the router")
     site: Name = Field("demo", description="name of the site")

@@ -55,7 +55,7 @@ def run(
     from fleetpose.pose_server.app.build import build
     from fleetpose.pose_server.app.process import serve
 
-    serve(lambda: build(loaded))
+    serve(lambda stopped: build(loaded, stopped))
 
 
 @app.command()
@@ -74,7 +74,7 @@ def router(
     On a machine that others connect to: --listen tcp/0.0.0.0:7447. It then lets in everybody who
     reaches it, unencrypted, unless a configuration says otherwise.
     """
-    from fleetpose.pose_server.app.router import route
+    from fleetpose.pose_server.routing.router import route
 
     route(tuple(listen or ["tcp/127.0.0.1:7447"]), config)
 

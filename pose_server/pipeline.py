@@ -44,7 +44,7 @@ from fleetpose.pose_server.state.views import KeptView
 from fleetpose.pose_server.workers.jobs import ClickJob, Done, Job, PairJob, TrackJob
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.keys import RobotPair, ordered_pair
-from fleetpose.protocol.messages import OperatorUpdate, Selection, ViewName
+from fleetpose.protocol.messages import Denials, OperatorUpdate, Selection, ViewName
 
 _COVARIANCES_AT_ONCE = 24  # made anew in a solve
 _SHARES = {"track": 4.0, "pair": 4.0, "wide": 2.0, "search": 2.0}  # of work nobody looks at
@@ -70,6 +70,19 @@ def receive_view(site: Site, view: KeptView) -> None:
     if before is None or before.epoch != view.name.epoch or before.seq < view.name.seq:
         site.note_change(robot, view)
         newest_arrived(site, robot, view)
+
+
+def refuse_view(site: Site, name: str, reason: str) -> None:
+    """A view of a robot cannot be used; why is told where its robot is asked about."""
+    robot = site.robots.get(name)
+    if robot is not None:
+        robot.refuse(reason)
+
+
+def receive_denials(site: Site, denials: Denials) -> None:
+    """A router says what it denies; a name that is new in it is an event."""
+    for news in site.denials.note(denials):
+        site.say(news)
 
 
 def receive_fetched(site: Site, view: KeptView) -> None:

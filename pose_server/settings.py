@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 from pydantic_settings import SettingsConfigDict
@@ -18,11 +18,15 @@ class ServerSettings(ProcessSettings):
     """How a pose server runs. Every default works."""
 
     model_config = SettingsConfigDict(env_prefix="FLEETPOSE_SERVER_")
+    roles: ClassVar[tuple[str, ...]] = ("server",)
 
     site: Name = Field("demo", description="name of the site, a chunk of every key")
     listen: Endpoints = Field((), description="be the router as well, on these endpoints")
     connect: Endpoints = Field((), description="endpoints of the router")
     config: Path | None = Field(None, description="zenoh configuration (JSON5) that replaces both")
+    connect_timeout_s: float = Field(
+        -1.0, description="wait so long for a router at the start; negative: for ever"
+    )
     state_dir: Path = Field(Path("fleetpose-state"), description="where the journal is kept")
     workers: int = Field(
         default_factory=lambda: max(1, min(16, os.cpu_count() or 1)),

@@ -29,10 +29,14 @@ def encoding_of(message_type: type[Message]) -> str:
     return f"application/msgpack;{message_type.schema_name}"
 
 
-def _readable(message_type: type[Message]) -> tuple[str, ...]:
-    """This version and the one before."""
+def schemas_read(message_type: type[Message]) -> tuple[str, ...]:
+    """This version and the one before: `("fleet.pose.v2", "fleet.pose.v1")`."""
     names = (message_type.schema_name, message_type.schema_before)
-    return tuple(f"application/msgpack;{name}" for name in names if name is not None)
+    return tuple(name for name in names if name is not None)
+
+
+def _readable(message_type: type[Message]) -> tuple[str, ...]:
+    return tuple(f"application/msgpack;{name}" for name in schemas_read(message_type))
 
 
 def pack(message: Message) -> bytes:

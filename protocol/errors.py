@@ -23,6 +23,10 @@ class UnreachableError(FleetPoseError):
     """No router, robot or server answered where one was expected."""
 
 
+class EndedError(FleetPoseError):
+    """The process was asked to end while it waited."""
+
+
 class NameTakenError(FleetPoseError):
     """Another live process has the name."""
 

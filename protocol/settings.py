@@ -13,10 +13,10 @@ from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin
 
 import typer
-from pydantic import AfterValidator, BeforeValidator, ValidationError
+from pydantic import AfterValidator, BeforeValidator, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_settings import (
     BaseSettings,
@@ -64,9 +64,17 @@ Endpoints = Annotated[
 
 
 class ProcessSettings(BaseSettings):
-    """Base of the settings of a process."""
+    """Base of the settings of a process.
+
+    Attributes:
+        roles: whose zenoh configuration `config` may be.
+        identified: the settings that a configuration knows when it says whose it is, by the part
+            of the identity, e.g. `{"site": "site", "name": "operator"}`.
+    """
 
     model_config = SettingsConfigDict(extra="forbid", frozen=True)
+    roles: ClassVar[tuple[str, ...]] = ()
+    identified: ClassVar[Mapping[str, str]] = {"site": "site"}
 
     @classmethod
     def load(cls, file: Path | None, given: Mapping[str, Any]) -> Self:
@@ -95,6 +103,23 @@ class ProcessSettings(BaseSettings):
             raise SettingsRefusedError(f"the settings{place} cannot be read: {cause}") from error
         finally:
             _file.reset(token)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _identify(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """Site and name are those of the zenoh configuration, if it says whose it is."""
+        if not given.get("config"):
+            return given
+        from fleetpose.protocol.session.identity import identity_in  # zenoh: only where it is used
+
+        file = Path(given["config"])
+        identity = identity_in(file, cls.roles)
+        if identity is None:
+            return given
+        own = {name: getattr(identity, part) for part, name in cls.identified.items()}
+        for name, value in own.items():
+            identity.settle(f"--{name}", given.get(name) or None, value, file)
+        return given | own
 
     @classmethod
     def settings_customise_sources(

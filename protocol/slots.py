@@ -5,7 +5,7 @@ Never more than so many keys and bytes wait, whatever is sent under whatever key
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, TypeVar
 
 MAX_KEYS = 4096
@@ -14,12 +14,17 @@ MAX_BYTES = 256 * 1024 * 1024
 
 @dataclass(frozen=True)
 class Sample:
-    """What a subscriber or a query receives, detached from zenoh."""
+    """What a subscriber or a query receives, detached from zenoh.
+
+    Attributes:
+        at_s: monotonic second of its arrival, 0 where that is not known.
+    """
 
     key: str
     payload: bytes
     encoding: str
     attachment: bytes | None = None
+    at_s: float = field(default=0.0, compare=False)
 
 
 class Keyed(Protocol):

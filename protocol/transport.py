@@ -1,26 +1,25 @@
-"""The only file of the protocol that touches zenoh: opening sessions, and publishers and
-subscribers per kind of stream.
+"""Publishers, subscribers and queries per kind of stream. Beside `protocol.session`, which opens
+sessions, the only file of the project's processes that touches zenoh.
 
 Three facts shape it. A slow subscriber grows a queue unless it keeps the newest sample per key
 only. Nothing heavy may happen in a callback. Puts can be lost silently, so latched and repeated
 streams carry their own numbers.
 """
 
-import json
-import re
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import zenoh
 from zenoh import ext
 
-from fleetpose.protocol.errors import EndpointError, FleetPoseError, UnreachableError
-from fleetpose.protocol.keys import checked_endpoint
+from fleetpose.protocol.errors import FleetPoseError, UnreachableError
+from fleetpose.protocol.session.opening import SessionSettings as SessionSettings
+from fleetpose.protocol.session.opening import open_session as open_session
 from fleetpose.protocol.slots import Sample, Slots
 from fleetpose.protocol.text import one_line
 
@@ -29,76 +28,8 @@ MAX_REASON_BYTES = 500  # of an error reply
 MAX_QUERIES = 256  # that wait for a queryable; more are told to ask again
 
 
-@dataclass(frozen=True)
-class SessionSettings:
-    """How to reach the router.
-
-    Attributes:
-        connect: endpoints of the router, e.g. `tcp/127.0.0.1:7447`.
-        listen: endpoints to listen on; with some, the session is itself a router.
-        config_file: a zenoh configuration (JSON5) that replaces both, for TLS and access control.
-        timeout_s: how long to wait for the router; negative waits forever.
-    """
-
-    connect: tuple[str, ...] = ()
-    listen: tuple[str, ...] = ()
-    config_file: Path | None = None
-    timeout_s: float = 10.0
-
-
-def open_session(settings: SessionSettings) -> zenoh.Session:
-    """Opens a session: a client of a router, or a router where `listen` names endpoints.
-
-    Raises:
-        EndpointError: an endpoint or the configuration file is not as zenoh reads it.
-        UnreachableError: no router answered in time, or the endpoint is taken.
-    """
-    for endpoint in settings.connect + settings.listen:
-        checked_endpoint(endpoint)
-    if settings.config_file is not None:
-        config = _config_of(settings.config_file)
-    else:
-        config = zenoh.Config()
-        for key, value in {
-            "mode": "router" if settings.listen else "client",
-            "scouting/multicast/enabled": False,
-            "scouting/gossip/enabled": False,
-            "listen/endpoints": list(settings.listen),
-            "connect/endpoints": list(settings.connect),
-            "connect/timeout_ms": int(settings.timeout_s * 1000),
-            "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000},
-            "transport/shared_memory/enabled": False,
-            "transport/link/tx/lease": 2000,
-            "timestamping/enabled": True,
-        }.items():
-            config.insert_json5(key, json.dumps(value))
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError as error:
-        where = settings.config_file or ", ".join(settings.connect + settings.listen)
-        raise UnreachableError(f"no zenoh router at {where}: {_said(error)}") from error
-
-
-def _config_of(file: Path) -> zenoh.Config:
-    if not file.is_file():
-        raise EndpointError(f"the zenoh configuration {file} does not exist")
-    try:
-        return zenoh.Config.from_file(str(file))
-    except zenoh.ZError as error:
-        raise EndpointError(
-            f"the zenoh configuration {file} cannot be read: {_said(error)}"
-        ) from error
-
-
-def _said(error: zenoh.ZError) -> str:
-    """What zenoh said, without where in its own source."""
-    return re.sub(r" at /\S+:\d+\.?", "", str(error))
-
-
 def free_port() -> int:
     """A free TCP port on the loopback interface."""
-    import socket
-
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
@@ -193,7 +124,6 @@ class Link:
                 lambda sample: callback(_detached(sample)),
                 history=ext.HistoryConfig(detect_late_publishers=True),
                 recovery=ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
-                subscriber_detection=True,
             )
         )
 
@@ -335,21 +265,8 @@ def _detached(sample: zenoh.Sample) -> Sample:
         sample.payload.to_bytes(),
         str(sample.encoding),
         None if sample.attachment is None else sample.attachment.to_bytes(),
+        time.monotonic(),
     )
-
-
-def run_router(settings: SessionSettings, stop: threading.Event) -> None:
-    """Runs a router until the event is set; the settings make the session one.
-
-    Raises:
-        UnreachableError: an endpoint is taken.
-    """
-    session = open_session(settings)
-    try:
-        while not stop.wait(0.5):
-            pass
-    finally:
-        session.close()
 
 
 def wait_until(condition: Callable[[], bool], timeout_s: float, poll_s: float = 0.02) -> bool:

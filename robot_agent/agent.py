@@ -4,21 +4,25 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TypeVar
 
 import cv2
 
+from fleetpose.protocol.errors import EndedError
+from fleetpose.protocol.session.supervisor import Supervisor
 from fleetpose.protocol.transport import SessionSettings
 from fleetpose.robot_agent.cameras.factory import open_camera
 from fleetpose.robot_agent.cameras.stereo.video import video_settings
 from fleetpose.robot_agent.client import FleetRobot
+from fleetpose.robot_agent.hearing import UNHEARD_S
 from fleetpose.robot_agent.sender import SenderSettings
 from fleetpose.robot_agent.settings import RobotSettings
 
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
+_LOOK_S = 1.0
 
 
 def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
@@ -30,6 +34,7 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
         FleetPoseError: the camera, the router or the name cannot be had.
     """
     cv2.setNumThreads(settings.opencv_threads or -1)
+    systemd = Supervisor()
     camera = open_camera(
         settings.camera,
         settings.data,
@@ -43,12 +48,15 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
         stop=stop,
     )
     try:
+        systemd.ready()
         with FleetRobot(
             settings.name,
             SessionSettings(
                 connect=settings.connect,
                 config_file=settings.config,
                 timeout_s=settings.connect_timeout_s,
+                stop=stop,
+                waiting=systemd.alive,
             ),
             site=settings.site,
             settings=SenderSettings(
@@ -60,8 +68,12 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
             takeover=settings.takeover,
         ) as robot:
             log.info("started name=%s epoch=%s camera=%s", robot.name, robot.epoch, settings.camera)
-            heard = _Heard(robot)
-            for frame in paced(camera.frames(), settings.rate_hz, stop):
+            heard = _Told(robot)
+
+            def between() -> None:
+                systemd.alive(_status(robot))
+
+            for frame in paced(camera.frames(), settings.rate_hz, stop, between):
                 robot.push_frame(frame)
                 heard.log()
             if not stop.is_set():
@@ -72,11 +84,21 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
                 robot.name,
                 "asked" if stop.is_set() else "no more frames",
             )
+    except EndedError as error:
+        log.info("ended name=%s reason=%s", settings.name, error)
     finally:
+        systemd.stopping()
         camera.close()
 
 
-class _Heard:
+def _status(robot: FleetRobot) -> str:
+    """How it is, in a line."""
+    if (unheard_s := robot.unheard_s) > UNHEARD_S:
+        return f"not heard for {10 * (unheard_s // 10):.0f} s or more"
+    return "starting" if robot.heard_age_s is None else "heard"
+
+
+class _Told:
     """Logs what a robot hears of itself, each time that it changes."""
 
     def __init__(self, robot: FleetRobot) -> None:
@@ -110,11 +132,21 @@ class _Heard:
             log.info("not located name=%s reason=%s", pose.robot, pose.why_not)
 
 
-def paced(frames: Iterator[T], rate_hz: float, stop: threading.Event) -> Iterator[T]:
-    """Takes frames at a steady rate; time lost on a late one is not made up for."""
+def paced(
+    frames: Iterator[T],
+    rate_hz: float,
+    stop: threading.Event,
+    between: Callable[[], None] = lambda: None,
+) -> Iterator[T]:
+    """Takes frames at a steady rate; time lost on a late one is not made up for. What is to be done
+    between them is done at least once a second.
+    """
     period_s = 1.0 / rate_hz
     due_s = time.monotonic()
-    while not stop.wait(max(due_s - time.monotonic(), 0.0)):
+    while not stop.wait(min(max(due_s - time.monotonic(), 0.0), _LOOK_S)):
+        between()
+        if time.monotonic() < due_s:
+            continue
         frame = next(frames, None)
         if frame is None:
             return

@@ -33,12 +33,13 @@ from fleetpose.robot_agent.cameras.base import (
 )
 from fleetpose.robot_agent.cameras.frozen import Repeats
 from fleetpose.robot_agent.features.depth_picture import picture_of
+from fleetpose.robot_agent.hearing import Hearing, SilenceWatch, unread_by
 from fleetpose.robot_agent.poses import PoseBoard
 from fleetpose.robot_agent.sender import Sender, SenderSettings
 
 log = logging.getLogger(__name__)
 
-NO_SERVER_S = 5.0  # without a server until that is logged: it may be starting
+_ASK_S = 1.0
 
 
 class FleetRobot:
@@ -85,8 +86,8 @@ class FleetRobot:
         self.drops = Drops()
         self._link = Link(open_session(session))
         self._server = LiveServer(self._link, self._keys)
-        self._told_absence = False
-        self._poses = PoseBoard(self._keys, self.drops, self._server)
+        self._secured = session.config_file is not None
+        self._poses = PoseBoard(self._keys, self.drops, self._server, self._posed)
         try:
             self._presence = Presence(
                 self._link,
@@ -96,13 +97,21 @@ class FleetRobot:
                 remedy="choose another --name, end that agent, or start with --takeover",
                 takeover=takeover,
             )
-            self._sender = Sender(self._link, self._keys, name, self.epoch, settings)
+            self._sender = Sender(
+                self._link, self._keys, name, self.epoch, settings, self._is_confirmed
+            )
+            self._hearing = Hearing(
+                self._keys, name, self.epoch, self._server, self.drops, self._sender.confirm
+            )
+            self._link.on_latched(self._keys.heard(name), self._hearing.store)
             self._odometry = self._link.latched(self._keys.odometry(name))
             self._link.on_latched(self._keys.poses, self._poses.store)
         except BaseException:
             self._link.close()
             self._poses.close()
             raise
+        self._silence = SilenceWatch(self._sender.unheard_s, self._why_unheard)
+        self._silence.start()
         if camera is not None:
             self._sender.announce(camera)
 
@@ -169,7 +178,6 @@ class FleetRobot:
             NameTakenError: another agent has taken the name over.
         """
         self._presence.check()
-        self._log_absence()
         _check_sizes(frame)
         _check_up(frame.up_camera)
         if frame.raw:
@@ -245,21 +253,63 @@ class FleetRobot:
         if not self._link.connected:
             return "no router is reached: what is sent is lost until one is"
         site = self._keys.site
-        return f"no server at site '{site}': is the site name right, is 'pose-server run' running?"
+        rules = " Do the router's rules know this robot's certificate?" if self._secured else ""
+        return (
+            f"no server at site '{site}': is the site name right, is 'pose-server run' running?"
+            + rules
+        )
 
     def _elsewhere(self) -> str:
         """At which other sites there is a server."""
         sites = sorted({site_of(key) for key in self._link.alive(EVERY_SERVER, timeout_s=1.0)})
         return f" There is one at {' and '.join(sites)}." if sites else ""
 
-    def _log_absence(self) -> None:
-        """Logs that nobody takes what is sent, and that somebody does again, once each."""
-        absent = self._server.absent_s > NO_SERVER_S
-        if absent and not self._told_absence:
-            log.warning("%s", self._no_server())
-        if self._told_absence and self.server_alive:
-            log.info("a server is at site '%s' now", self._keys.site)
-        self._told_absence = (absent or self._told_absence) and not self.server_alive
+    @property
+    def heard_age_s(self) -> float | None:
+        """How long ago the server said that it has the newest view of this robot, or a newer one
+        than before, s; None before the first. It grows while views are sent in vain.
+        """
+        return self._sender.heard_age_s()
+
+    @property
+    def unheard_s(self) -> float:
+        """For how long views have been sent of which the server has none; 0 where it has them."""
+        return self._sender.unheard_s()
+
+    def _is_confirmed(self) -> bool:
+        """Whether the server that lives is one that says which views it has."""
+        return self._hearing.newest is not None
+
+    def _posed(self, pose: RobotPose) -> None:
+        """A pose of a view says as well that the server has it."""
+        if pose.robot == self.name and pose.view.epoch == self.epoch:
+            self._sender.confirm(pose.view.seq, pose.age_s)
+
+    def _why_unheard(self) -> str:
+        """The most probable cause of the server having none of the views that are sent now."""
+        if not self.server_alive:
+            return self._no_server() + self._elsewhere()
+        heard = self._hearing.newest
+        if heard is None:
+            try:
+                self._link.query(f"{self._keys.why}?robot={self.name}", _ASK_S)
+            except UnreachableError as error:
+                return (
+                    f"a server is there, but not for this robot ({error}): do the router's rules "
+                    f"know the name '{self.name}'?"
+                )
+            return "a server is there, but of an older version that does not say what it hears"
+        if unread := unread_by(heard):
+            return unread
+        if heard.drops:
+            counts = "; ".join(f"{reason} {n}" for reason, n in heard.drops.items())
+            return f"the server refuses its views: {counts}"
+        if heard.epoch != self.epoch:
+            return (
+                "the server sees that this robot is there, but none of its views: may it publish "
+                f"under '{self._keys.cloud(self.name)}'?"
+            )
+        return f"the server has had no view since number {heard.seq}: the link is slow, or lost"
 
     def relative_pose(self, other: str, timeout_s: float = 3.0) -> RelativePose:
         """Where another robot is, seen from this one, asked of the server now.
@@ -293,6 +343,7 @@ class FleetRobot:
     def close(self) -> None:
         """Leaves the fleet; a frame that still waits is dropped, so `flush` if that matters."""
         try:
+            self._silence.close()
             self._sender.close()
         finally:
             self._link.close()

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from fleetpose.protocol.codec import unpack
@@ -32,10 +33,17 @@ class PoseBoard:
         keys: of the site.
         drops: where what cannot be used is counted.
         server: the one whose poses are taken.
+        take: is given each pose that is new.
     """
 
-    def __init__(self, keys: Keys, drops: Drops, server: LiveServer) -> None:
-        self._keys, self._drops, self._server = keys, drops, server
+    def __init__(
+        self,
+        keys: Keys,
+        drops: Drops,
+        server: LiveServer,
+        take: Callable[[RobotPose], None] = lambda pose: None,
+    ) -> None:
+        self._keys, self._drops, self._server, self._take = keys, drops, server, take
         self._changed = threading.Condition()
         self._waiting: deque[tuple[Sample, float]] = deque()
         self._closed = False
@@ -103,3 +111,4 @@ class PoseBoard:
             with self._changed:
                 self._newest[pose.robot] = Received(pose, at_s)
                 self._valid_until_s[pose.robot] = until_s
+            self._take(pose)

@@ -1,13 +1,16 @@
 """The way out: frame -> salient points -> view -> wire, in one thread of its own.
 
 A frame waits in a slot for one; a newer one takes its place. So the robot's program never waits,
-neither for the computer nor for the network, and what is sent is the newest there is.
+neither for the computer nor for the network, and what is sent is the newest there is. One view at a
+time is on its way, and holds what the link carries within a second.
 """
 
 import logging
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.metadata import version
 
 from fleetpose.protocol.codec import encoding_of, pack
 from fleetpose.protocol.errors import FleetPoseError
@@ -24,6 +27,7 @@ from fleetpose.protocol.transport import ENCODING_JPEG, Link
 from fleetpose.robot_agent.cameras.base import Frame
 from fleetpose.robot_agent.features.keypoints import salient_of
 from fleetpose.robot_agent.features.packing import view_of
+from fleetpose.robot_agent.on_way import OnWay
 from fleetpose.robot_agent.recent_views import JPEG_QUALITY, KeptViews, kept_view
 
 log = logging.getLogger(__name__)
@@ -50,10 +54,25 @@ class SenderSettings:
 
 
 class Sender:
-    """Publishes the frames of one robot and answers for its last views."""
+    """Publishes the frames of one robot and answers for its last views.
+
+    Args:
+        link: the session.
+        keys: of the site.
+        name: the robot's.
+        epoch: of its present life.
+        settings: what is computed, sent and kept.
+        listens: whether a server is there that confirms views; without one none is waited for.
+    """
 
     def __init__(
-        self, link: Link, keys: Keys, name: str, epoch: str, settings: SenderSettings | None = None
+        self,
+        link: Link,
+        keys: Keys,
+        name: str,
+        epoch: str,
+        settings: SenderSettings | None = None,
+        listens: Callable[[], bool] = lambda: False,
     ) -> None:
         self._name = name
         self._epoch = epoch
@@ -62,6 +81,8 @@ class Sender:
         self._cloud = link.bulk(keys.cloud(name))
         self._image = link.bulk(keys.image(name), background=True)
         self._kept = KeptViews(epoch, self._settings.keep_views)
+        self._on_way = OnWay()
+        self._listens = listens
         self._announced: Camera | None = None
         self._sent: tuple[Frame, KeptView] | None = None
         self._changed = threading.Condition()
@@ -83,6 +104,7 @@ class Sender:
             camera=camera,
             rate_hz=self._settings.rate_hz,
             capabilities=CAPABILITIES,
+            version=version("fleetpose"),
         )
         self._announcement.put(pack(announcement), encoding_of(CameraAnnouncement))
 
@@ -96,6 +118,27 @@ class Sender:
                 log.info("view dropped name=%s reason=newer", self._slot[0])
             self._slot = (name, frame)
             self._changed.notify_all()
+
+    def confirm(self, seq: int, waited_s: float = 0.0) -> None:
+        """The server has a view, which lay there for some time until it said so."""
+        with self._changed:
+            changed = self._on_way.confirmed(seq, waited_s, time.monotonic())
+            took_s, share = self._on_way.took_s, self._on_way.budget.share
+            self._changed.notify_all()
+        if changed:
+            log.info("link name=%s view_s=%.1f share=%.3g", self._name, took_s, share)
+
+    def unheard_s(self) -> float:
+        """For how long views have been sent of which the server has none; 0 where it has them."""
+        with self._changed:
+            since_s = self._on_way.silent_since_s
+        return 0.0 if since_s is None else time.monotonic() - since_s
+
+    def heard_age_s(self) -> float | None:
+        """How long ago the server confirmed a view, None before the first."""
+        with self._changed:
+            at_s = self._on_way.confirmed_s
+        return None if at_s is None else time.monotonic() - at_s
 
     def flush(self, timeout_s: float) -> bool:
         """Waits until no frame waits and none is worked on."""
@@ -131,12 +174,21 @@ class Sender:
         with self._changed:
             self._busy = False
             self._changed.notify_all()
-            self._changed.wait_for(lambda: self._closed or self._slot is not None)
-            if self._closed:
-                return None
-            job, self._slot = self._slot, None
-            self._busy = True
-            return job
+            while not self._closed:
+                wait_s = self._may_go_in_s()
+                if wait_s == 0.0:
+                    job, self._slot = self._slot, None
+                    self._busy = True
+                    return job
+                self._changed.wait(wait_s)
+            return None
+
+    def _may_go_in_s(self) -> float | None:
+        """In how long the frame that waits may go, as far as is known now; None without one."""
+        if self._slot is None:
+            return None
+        self._on_way.waits = self._listens()
+        return self._on_way.free_in_s(time.monotonic())
 
     def _publish(self, name: ViewName, frame: Frame) -> None:
         start_s = time.monotonic()
@@ -147,6 +199,8 @@ class Sender:
         self._kept.keep(kept)
         view, payload = kept.view, pack(kept.view)
         encoded_s = time.monotonic()
+        with self._changed:
+            self._on_way.sent(name.seq, encoded_s, len(view.salient.data) / len(payload))
         self._cloud.put(payload, encoding_of(View))
         image_bytes = self._publish_image(kept)
         log.info(
@@ -160,17 +214,29 @@ class Sender:
         )
 
     def _encoded(self, name: ViewName, frame: Frame) -> KeptView:
-        salient = salient_of(frame, self._settings.max_salient)
-        return kept_view(view_of(name, frame, salient), frame.image, self._settings.jpeg_quality)
+        settings, budget = self._settings, self._on_way.budget
+        salient = salient_of(frame, budget.points(settings.max_salient))
+        view = view_of(name, frame, salient).model_copy(update=self._of_link())
+        return kept_view(view, frame.image, budget.quality(settings.jpeg_quality))
+
+    def _of_link(self) -> dict[str, float]:
+        """What a view tells of the link."""
+        with self._changed:
+            return {"on_way_s": self._on_way.took_s, "share": self._on_way.budget.share}
 
     def _again(self, name: ViewName, frame: Frame) -> KeptView | None:
-        """The last view under a new name and stamp, where nothing in sight has changed since."""
+        """The last view under a new name and stamp, where nothing in sight has changed since, and
+        the link carries as much as then.
+        """
         if self._sent is None:
             return None
         before, kept = self._sent
+        of_link = self._of_link()
         if frame.ranges is not before.ranges or frame.model is not before.model:
             return None
-        now = {"name": name, "stamp_ns": frame.stamp_ns}
+        if kept.view.share != of_link["share"]:
+            return None
+        now = {"name": name, "stamp_ns": frame.stamp_ns, **of_link}
         up = {"up_camera": frame.up_camera, "up_sigma_rad": frame.up_sigma_rad}
         view = kept.view.model_copy(update={**now, **up, "frozen_s": frame.frozen_s})
         header = ImageHeader(view=name, stamp_ns=frame.stamp_ns)

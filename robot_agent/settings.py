@@ -1,7 +1,8 @@
 """All settings of the agent: defaults, overlaid by file, environment and command line."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 from pydantic_settings import SettingsConfigDict
@@ -15,6 +16,8 @@ class RobotSettings(ProcessSettings):
     """Settings of `robot-agent run`; in the environment `FLEETPOSE_ROBOT_NAME` and so on."""
 
     model_config = SettingsConfigDict(env_prefix="FLEETPOSE_ROBOT_")
+    roles: ClassVar[tuple[str, ...]] = ("robot",)
+    identified: ClassVar[Mapping[str, str]] = {"site": "site", "name": "name"}
 
     name: Name = Field(description="the robot's name, unique in its site")
     site: Name = Field("demo", description="the fleet's site")
@@ -24,9 +27,12 @@ class RobotSettings(ProcessSettings):
     )
     config: Path | None = Field(
         None,
-        description="zenoh configuration (JSON5), replaces connect; for TLS and access control",
+        description="zenoh configuration (JSON5), replaces connect; for TLS and access control; "
+        "where it says whose it is, name and site may be left out",
     )
-    connect_timeout_s: float = Field(10.0, description="wait for the router; negative: for ever")
+    connect_timeout_s: float = Field(
+        -1.0, description="wait so long for a router at the start; negative: for ever"
+    )
     camera: CameraKind = Field(
         description="rgbd, views, reconstruction, cloud, stereo or synthetic"
     )

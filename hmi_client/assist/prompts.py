@@ -126,5 +126,16 @@ def confirmation(session: OperatorSession) -> str:
     """What the server last confirmed of this operator's work."""
     waiting, confirmed = session.unconfirmed, session.confirmed
     if waiting:
-        return f"{waiting} not confirmed yet"
+        why = why_unconfirmed(session)
+        return f"{waiting} not confirmed yet" + (f": {why}" if why else "")
     return f"all {confirmed} confirmed" if confirmed else "nothing sent yet"
+
+
+def why_unconfirmed(session: OperatorSession) -> str:
+    """Why updates are not receipted, as far as that can be known: nobody hears them, or a router
+    denies them; empty if neither is known.
+    """
+    if session.silent:
+        return "not heard, no server is there"
+    denied = session.denied
+    return f"denied by the router's rules: {denied[0].what} on {denied[0].key}" if denied else ""

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import typer
 
+from fleetpose.hmi_client.assist.prompts import why_unconfirmed
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.records import Pair, Pick
 from fleetpose.hmi_client.model.session import OperatorSession
@@ -15,6 +16,7 @@ from fleetpose.protocol.messages import ViewName
 
 BATCH = 50  # receipts name the newest 100 rejections: more at once could hide one
 SET_TIMEOUT_S = 1.0
+_NOT_KNOWN = "the server is there, but whether it has them is not known"
 
 
 def add_all(session: OperatorSession, picks: list[Pick], timeout_s: float) -> int:
@@ -27,8 +29,8 @@ def add_all(session: OperatorSession, picks: list[Pick], timeout_s: float) -> in
             left = len(picks) - start - len(batch)
             if left:
                 typer.echo(f"{left} were not sent", err=True)
-            return report(tickets, [name_of(session, t) for t in tickets])
-        code = max(code, report(tickets, [name_of(session, t) for t in tickets]))
+            return report(session, tickets, [name_of(session, t) for t in tickets])
+        code = max(code, report(session, tickets, [name_of(session, t) for t in tickets]))
     return code
 
 
@@ -59,7 +61,7 @@ def name_of(session: OperatorSession, ticket: Ticket) -> str:
     return f"accepted {i} - {j}" + (f", id {id}" if id is not None else "")
 
 
-def report(tickets: list[Ticket], names: list[str]) -> int:
+def report(session: OperatorSession, tickets: list[Ticket], names: list[str]) -> int:
     """Prints one line per ticket; returns the exit code."""
     for ticket, name in zip(tickets, names, strict=True):
         if ticket.accepted:
@@ -69,7 +71,7 @@ def report(tickets: list[Ticket], names: list[str]) -> int:
     open_ = sum(not ticket.final for ticket in tickets)
     if open_:
         typer.echo(
-            f"{open_} not confirmed in time: whether the server has them is not known; "
+            f"{open_} not confirmed in time: {why_unconfirmed(session) or _NOT_KNOWN}; "
             "look with 'hmi-client correspondences list' before you send them again",
             err=True,
         )

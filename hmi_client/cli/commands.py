@@ -19,7 +19,7 @@ from fleetpose.hmi_client.settings import ClientSettings
 from fleetpose.protocol.commands import Version
 from fleetpose.protocol.settings import DumpSettings
 
-ALIGNMENTS_S = 1.0  # they are latched: what has not come by then was never told
+LATCHED_S = 1.0  # what is latched and has not come by then was never told
 
 app = typer.Typer(
     no_args_is_help=False,
@@ -120,6 +120,9 @@ def show_keys(keys_file: KeysFile = None) -> None:
 def watch(
     seconds: Annotated[float | None, typer.Option(help="stop after; default: Ctrl-C")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print JSON lines")] = False,
+    wait: Annotated[
+        bool, typer.Option("--wait/--no-wait", help="for router and server; else exit code 3")
+    ] = True,
     connect: c.Connect = c.DEFAULT_CONNECT,
     site: c.Site = c.DEFAULT_SITE,
     config: c.Config = None,
@@ -129,7 +132,7 @@ def watch(
     from fleetpose.hmi_client.cli.reports import Watcher, sentence
 
     where = c.Connection.of(connect, site, config, operator)
-    with suppress(KeyboardInterrupt), where.server() as session:
+    with suppress(KeyboardInterrupt), where.server(patient=wait) as session:
         watcher = Watcher(session)
         end = None if seconds is None else time.monotonic() + seconds
         while end is None or time.monotonic() < end:
@@ -149,9 +152,11 @@ def status(
 ) -> None:
     """Prints the server's load, the robots and what is asked; exit code 3 without a server."""
     from fleetpose.hmi_client.cli.reports import status_text
+    from fleetpose.protocol.transport import wait_until
 
     with c.Connection.of(connect, site, config, operator).server() as session:
         session.wait_change({}, ("status",), 2.0)
+        wait_until(lambda: set(session.robots()) <= set(session.versions), LATCHED_S, poll_s=0.1)
         typer.echo(status_text(session))
 
 
@@ -174,7 +179,7 @@ def why(
         session.robot(robot)
         wait_for_sets(session)
         tried = set(tried_pairs(session, robot))
-        wait_until(lambda: tried <= set(session.alignments(robot)), ALIGNMENTS_S, poll_s=0.1)
+        wait_until(lambda: tried <= set(session.alignments(robot)), LATCHED_S, poll_s=0.1)
         record = why_record(session, robot, session.alignments(robot))
     typer.echo(json.dumps(record, indent=1) if as_json else why_text(record))
     raise typer.Exit(0 if record["located"] else 1)

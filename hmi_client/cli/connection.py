@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fleetpose.hmi_client.cli.options import given_before
+from fleetpose.hmi_client.cli.options import Given, given_before, given_site
 from fleetpose.hmi_client.errors import NoServerError
+from fleetpose.hmi_client.settings import ClientSettings
 
 if TYPE_CHECKING:
     from fleetpose.hmi_client.model.session import OperatorSession
     from fleetpose.hmi_client.network.client import Client
+    from fleetpose.hmi_client.network.update_log import UpdateLog
     from fleetpose.hmi_client.recording.file import Recorder
 
 SERVER_TIMEOUT_S = 5.0
@@ -29,12 +31,12 @@ Connect = Annotated[
 ]
 Site = Annotated[
     str,
-    typer.Option(help="name of the site", callback=given_before),
+    typer.Option(help="name of the site", callback=given_site),
 ]
 Config = Annotated[
     Path | None,
     typer.Option(
-        help="zenoh configuration (JSON5), replaces --connect",
+        help="zenoh configuration (JSON5), replaces --connect; it may say who you are",
         callback=given_before,
     ),
 ]
@@ -57,10 +59,36 @@ class Connection:
     site: str
     config: Path | None
     operator: str
+    looks_only: bool = False
 
     @classmethod
     def of(cls, connect: list[str], site: str, config: Path | None, operator: str) -> "Connection":
-        return cls(tuple(connect), site, config, operator or default_operator())
+        """From the options; a configuration may say whose it is, and then knows site and operator.
+
+        Raises:
+            EndpointError: the configuration cannot be used, or belongs to somebody else.
+        """
+        identity = None
+        if config is not None:
+            from fleetpose.protocol.session.identity import identity_in
+
+            identity = identity_in(config, ClientSettings.roles)
+        if identity is None or config is None:
+            return cls(tuple(connect), site, config, operator or default_operator())
+        identity.settle("--site", site if isinstance(site, Given) else None, identity.site, config)
+        identity.settle("--operator", operator or None, identity.name, config)
+        looks_only = identity.role == "observer"
+        return cls(tuple(connect), identity.site, config, identity.name, looks_only)
+
+    def session(
+        self, threshold_m: float | None = None, kept: "UpdateLog | None" = None
+    ) -> "OperatorSession":
+        """What is known and what the operator does; of an observer, who only looks."""
+        from fleetpose.hmi_client.model.onlooker import Onlooker
+        from fleetpose.hmi_client.model.session import OperatorSession
+
+        kind = Onlooker if self.looks_only else OperatorSession
+        return kind(self.operator, threshold_m=threshold_m, kept=kept)
 
     def client(
         self,
@@ -88,29 +116,40 @@ class Connection:
         return Client(session, Keys(self.site), open_link, each_pose)
 
     @contextmanager
-    def server(self) -> Iterator["OperatorSession"]:
+    def server(self, patient: bool = False) -> Iterator["OperatorSession"]:
         """A session that a server has been heard in.
+
+        Args:
+            patient: wait for router and server for ever, and say so.
 
         Raises:
             NoServerError: none was heard within 5 seconds.
         """
-        with self.client_of_server() as client:
+        with self.client_of_server(patient) as client:
             yield client.session
 
     @contextmanager
-    def client_of_server(self) -> Iterator["Client"]:
+    def client_of_server(self, patient: bool = False) -> Iterator["Client"]:
         """The same with the client around the session."""
-        from fleetpose.hmi_client.model.session import OperatorSession
+        from fleetpose.protocol.session.opening import FOR_EVER
 
-        session = OperatorSession(self.operator)
-        with self.client(session) as client:
+        session = self.session()
+        with self.client(session, FOR_EVER if patient else SERVER_TIMEOUT_S) as client:
             if not session.wait_change({}, ("fleet",), SERVER_TIMEOUT_S):
-                where = self.config or ", ".join(self.connect)
-                raise NoServerError(
-                    f"no pose server of site '{self.site}' answered at {where} in "
-                    f"{SERVER_TIMEOUT_S:.0f} s; is 'pose-server run' running there?"
-                )
+                absent = self._no_server()
+                if not patient:
+                    raise NoServerError(absent)
+                typer.echo(f"{absent} Waiting for it.", err=True)
+                while not session.wait_change({}, ("fleet",), SERVER_TIMEOUT_S):
+                    pass
             yield client
+
+    def _no_server(self) -> str:
+        where = self.config or ", ".join(self.connect)
+        return (
+            f"no pose server of site '{self.site}' answered at {where} in "
+            f"{SERVER_TIMEOUT_S:.0f} s; is 'pose-server run' running there?"
+        )
 
 
 def default_operator() -> str:

@@ -65,7 +65,7 @@ def erase(
         clicking.wait_for_sets(session)
         tickets = [session.erase(pair, id) for id in ids]
         clicking.finish(session, tickets, timeout)
-        raise typer.Exit(clicking.report(tickets, [f"erased {id}" for id in ids]))
+        raise typer.Exit(clicking.report(session, tickets, [f"erased {id}" for id in ids]))
 
 
 @app.command()
@@ -89,7 +89,7 @@ def clear(
             typer.echo(f"{pair[0]} - {pair[1]} has no correspondences")
             return
         clicking.finish(session, [ticket], timeout)
-        raise typer.Exit(clicking.report([ticket], [f"cleared {pair[0]} - {pair[1]}"]))
+        raise typer.Exit(clicking.report(session, [ticket], [f"cleared {pair[0]} - {pair[1]}"]))
 
 
 @app.command("list")

@@ -20,6 +20,21 @@ def given_before(context: typer.Context, parameter: typer.CallbackParam, value: 
     return value if here is context else here.params[name]
 
 
+class Given(str):
+    """A text that somebody gave, be it the default's."""
+
+
+def given_site(context: typer.Context, parameter: typer.CallbackParam, value: str) -> str:
+    """The same, and tells a site that was given from the default."""
+    here, name = context, parameter.name or ""
+    while here is not None:
+        source: Any = here.get_parameter_source(name)
+        if source is not None and source.name != "DEFAULT":
+            return Given(given_before(context, parameter, value))
+        here = here.parent
+    return value
+
+
 def _is_written(context: Any, name: str) -> bool:
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"  # typer has had two homes for it

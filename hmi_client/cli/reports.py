@@ -12,6 +12,7 @@ from fleetpose.protocol.messages import PairCell, RobotPose, ServerStatus
 
 Record = dict[str, Any]
 _DOUBTFUL = 5  # pairs that the status names
+_DENIALS = 3  # kinds of denials of one name
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -134,7 +135,21 @@ def _inside(status: ServerStatus) -> str:
         f"median ms: {stages or 'nothing yet'}",
         f"picked last: {status.picked}" if status.picked else "",
     ]
-    return "".join(f"\n{line}" for line in lines if line)
+    return "".join(f"\n{line}" for line in lines + _at_the_routers(status) if line)
+
+
+def _at_the_routers(status: ServerStatus) -> list[str]:
+    """What routers deny to whom, and whom they do not let in."""
+    by_name: dict[str, list[str]] = {}
+    for one in status.denied:
+        by_name.setdefault(one.who, []).append(f"{one.what} on {one.key} {one.n}")
+    lines = [
+        f"denied to {who}: {', '.join(what[:_DENIALS])}"
+        + (f" and {len(what) - _DENIALS} more kinds" if len(what) > _DENIALS else "")
+        for who, what in by_name.items()
+    ]
+    turned_away = ", ".join(f"{cause} {n}" for cause, n in sorted(status.refused.items()))
+    return lines + ([f"turned away: {turned_away}"] if turned_away else [])
 
 
 def status_text(session: OperatorSession) -> str:
@@ -150,6 +165,7 @@ def status_text(session: OperatorSession) -> str:
             f"longest wait {status.max_pair_wait_s:.1f} s, dropped: {drops or 'nothing'}"
             + _inside(status)
         )
+    parts += other_versions(session)
     rows = [robot_row(session, robot) for robot in session.robots()]
     located = sum(row[1] == "yes" for row in rows)
     anchor = session.fleet.anchor if session.fleet else None
@@ -173,6 +189,21 @@ def status_text(session: OperatorSession) -> str:
     else:
         parts.append("no questions")
     return "\n\n".join(parts)
+
+
+def other_versions(session: OperatorSession) -> list[str]:
+    """That robots run other versions than the server, in a sentence; empty if none does."""
+    if session.status is None:
+        return []
+    alive = (robot for robot in session.robots() if session.robot(robot).alive)
+    versions = {robot: session.versions[robot] for robot in alive if robot in session.versions}
+    others = [
+        f"{robot} {version or 'an older one'}"
+        for robot, version in versions.items()
+        if version != session.status.version
+    ]
+    told = f"not of the server's version {session.status.version}: {', '.join(others)}"
+    return [told] if others else []
 
 
 def doubtful_rows(session: OperatorSession) -> list[tuple[str, ...]]:

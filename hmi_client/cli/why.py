@@ -108,6 +108,8 @@ def next_for(record: Record) -> str:
     if not record["alive"]:
         return f"start its agent, or check its network: robot-agent run --name {robot} ..."
     if record["newest_view"] is None:
+        if "refused" in record["reason"]:
+            return "mend what its views are refused for: the server takes none of them"
         return "check that its camera runs and that it may publish under its name"
     if not CLICKS_HELP.issuperset(record["alarm_kinds"]):
         return "do what its alarm says first: clicks do not make up for it"

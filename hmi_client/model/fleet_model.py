@@ -16,6 +16,7 @@ from fleetpose.hmi_client.network.update_log import UpdateLog
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.messages import (
     Alignment,
+    CameraAnnouncement,
     FleetState,
     PairCell,
     PairCorrespondences,
@@ -54,6 +55,7 @@ class FleetModel(Changes):
         super().__init__(clock)
         self.fleet: FleetState | None = None
         self.status: ServerStatus | None = None
+        self.versions: dict[str, str] = {}  # of the robots' software, "" before they told it
         self.pair: Pair | None = None
         self._book = CorrespondenceModel(operator, session, clock=clock, kept=kept)
         self._poses: dict[str, RobotPose] = {}
@@ -283,6 +285,12 @@ class FleetModel(Changes):
     def on_status(self, status: ServerStatus) -> None:
         with self._changed:
             self.status = status
+            self._bump("status")
+
+    def on_camera(self, announcement: CameraAnnouncement) -> None:
+        """Takes which version a robot runs."""
+        with self._changed:
+            self.versions[announcement.robot] = announcement.version
             self._bump("status")
 
     def on_selection(self, selection: Selection) -> None:

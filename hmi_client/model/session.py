@@ -6,7 +6,7 @@ command it.
 
 import time
 from collections.abc import Callable
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.fleet_model import FleetModel
@@ -15,7 +15,7 @@ from fleetpose.hmi_client.model.records import HalfPick, Pair, Picture, PixelUV
 from fleetpose.hmi_client.network.outbox import Ticket
 from fleetpose.hmi_client.network.update_log import UpdateLog
 from fleetpose.protocol.keys import checked_name, ordered_pair
-from fleetpose.protocol.messages import OperatorUpdate, Selection, ViewName
+from fleetpose.protocol.messages import Denial, OperatorUpdate, Selection, ViewName
 
 T = TypeVar("T")
 
@@ -30,7 +30,12 @@ class OperatorSession(FleetModel):
         threshold_m: errors above it are shown as a hyphen; default: a share of the scene's depth.
         kept: where updates are kept on disk until they are receipted; what another client of the
             operator left there is sent.
+
+    Attributes:
+        acts: whether what the operator does goes out.
     """
+
+    acts: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -57,6 +62,13 @@ class OperatorSession(FleetModel):
     def seconds_selected(self) -> float:
         """How long the present pair has been selected."""
         return self.clock() - self._selected_s
+
+    @property
+    def denied(self) -> tuple[Denial, ...]:
+        """What routers deny to this operator of his own, as the server told last."""
+        status, own = self.status, f"operator/{self.operator}"
+        denied = () if status is None else status.denied
+        return tuple(d for d in denied if d.who.partition("#")[0] == own and f"/{own}/" in d.key)
 
     # ---- what to look at -------------------------------------------------------------------------
 

@@ -131,7 +131,7 @@ class Client:
             self.keys.status,
             *((self.keys.poses,) if self._each_pose else ()),
             self.keys.correspondences("*", "*"),
-            self.keys.receipts(operator),
+            *((self.keys.receipts(operator),) if self.session.acts else ()),
             self.keys.selection("*"),
             self.keys.camera("*"),
             self.keys.alignment("*", "*"),

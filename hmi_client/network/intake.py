@@ -72,6 +72,8 @@ class Intake:
                 session.on_receipts(content)
             case Selection():
                 session.on_selection(content)
+            case CameraAnnouncement():
+                session.on_camera(content)
             case Picture():
                 session.on_picture(content)
 

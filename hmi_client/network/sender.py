@@ -9,14 +9,15 @@ from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.protocol.codec import encoding_of, pack
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import OperatorUpdate, Selection
-from fleetpose.protocol.transport import Link, Sample
+from fleetpose.protocol.transport import Link, Publisher, Sample
 
 REPEAT_S = 1.0  # an update is offered again after this long without a receipt
 RETELL_S = 5.0  # a selection is told again after this long: servers and operators forget them
 
 
 class Sender:
-    """Follows the session; runs in a thread of its own, because a put may wait for the link.
+    """Follows the session; runs in a thread of its own, because a put may wait for the link. Of who
+    only looks, nothing goes out.
 
     Args:
         session: what is followed.
@@ -36,8 +37,12 @@ class Sender:
         self._keys = keys
         self._link = link
         self._on_image = on_image
-        self._updates = link.latched(keys.updates(session.operator), block=True, history=100)
-        self._selection = link.latched(keys.selection(session.operator), block=True)
+        self._updates: Publisher | None = None
+        self._selection: Publisher | None = None
+        if session.acts:
+            operator = session.operator
+            self._updates = link.latched(keys.updates(operator), block=True, history=100)
+            self._selection = link.latched(keys.selection(operator), block=True)
         self._offered_s: dict[tuple[str, int], float] = {}
         self._told: Selection | None = None
         self._told_s = 0.0
@@ -59,10 +64,12 @@ class Sender:
         """Tells that the operator looks at nothing any more."""
         nothing = {"i": None, "j": None, "view_i": None, "view_j": None}
         left = self._session.selection().model_copy(update=nothing)
-        self._selection.put(pack(left), encoding_of(Selection))
+        self._tell(left)
 
     def _offer_updates(self) -> None:
         """Offers open updates in order, and again while no receipt covers them."""
+        if self._updates is None:
+            return
         now = time.monotonic()
         offered = {}
         for update in self._session.open_updates():
@@ -82,8 +89,12 @@ class Sender:
             self._want_images(robot for robot in (selection.i, selection.j) if robot)
         elif server == self._told_to and not late:
             return
-        self._selection.put(pack(selection), encoding_of(Selection))
+        self._tell(selection)
         self._told, self._told_to, self._told_s = selection, server, time.monotonic()
+
+    def _tell(self, selection: Selection) -> None:
+        if self._selection is not None:
+            self._selection.put(pack(selection), encoding_of(Selection))
 
     def _want_images(self, robots: Iterable[str]) -> None:
         wanted = set(robots)

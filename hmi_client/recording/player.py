@@ -9,10 +9,11 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from typing import NoReturn, TypeVar
+from typing import ClassVar, TypeVar
 
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.depths import Depths
+from fleetpose.hmi_client.model.onlooker import Onlooker
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.network.intake import Intake
 from fleetpose.hmi_client.network.message_decoder import checked_picture
@@ -24,7 +25,6 @@ from fleetpose.protocol.messages import ImageHeader, KeptView, OperatorUpdate, S
 from fleetpose.protocol.messages.base import Message
 from fleetpose.protocol.transport import Sample
 
-_FIXED = "this is a recording: nothing can be changed in it"
 M = TypeVar("M", bound=Message)
 
 
@@ -45,10 +45,12 @@ class PlayClock:
         self._at_s, self._since, self.paused = at_s, time.monotonic(), paused
 
 
-class PlayedSession(OperatorSession):
+class PlayedSession(Onlooker):
     """A recorded operator's session. Anybody may look around in it; nobody changes it but the
     record.
     """
+
+    refusal: ClassVar[str] = "this is a recording: nothing can be changed in it"
 
     def __init__(
         self, recording: Recording, clock: Callable[[], float], threshold_m: float | None = None
@@ -77,7 +79,7 @@ class PlayedSession(OperatorSession):
         """Does again what the operator did; what was offered again is done once."""
         self._book.outbox.session = update.session
         if update.n > self._book.outbox.last:
-            super()._do(lambda: self._deed(update))
+            OperatorSession._do(self, lambda: self._deed(update))
 
     def _deed(self, update: OperatorUpdate) -> None:
         pair, book = (update.i, update.j), self._book
@@ -98,20 +100,6 @@ class PlayedSession(OperatorSession):
                 book.clear(pair)
             case _:
                 raise OperatorError(f"update {update.n} cannot be repeated")
-
-    def undo(self) -> bool:
-        with self._changed:
-            self._say(_FIXED)
-        return False
-
-    def redo(self) -> bool:
-        return self.undo()
-
-    def pick(self, *_: object, **__: object) -> NoReturn:
-        raise OperatorError(_FIXED)
-
-    def _do(self, deed: Callable[[], object]) -> NoReturn:
-        raise OperatorError(_FIXED)
 
 
 class Player:

@@ -63,7 +63,7 @@ def run_screen(
         recorder = Recorder(record, where.site, where.operator) if record is not None else None
         if recorder is not None:
             closing.callback(recorder.close)
-        session = OperatorSession(where.operator, threshold_m=threshold_m, kept=kept)
+        session = where.session(threshold_m, kept)
         # the map is painted twice a second: poses as fast as they come would be opened in vain
         client = where.client(session, RETRY_TIMEOUT_S, recorder, each_pose=False)
         closing.callback(client.close)
@@ -185,7 +185,11 @@ def state_folder() -> Path:
 
 
 def own_updates(where: Connection) -> UpdateLog | None:
-    """The operator's file of updates on their way, None while another client has it."""
+    """The operator's file of updates on their way, None while another client has it, and of who
+    only looks.
+    """
+    if where.looks_only:
+        return None
     name = f"updates-{checked_name(where.site)}-{checked_name(where.operator)}.sqlite"
     try:
         return UpdateLog(state_folder() / name)

@@ -14,8 +14,10 @@ from functools import partial
 
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.app import queries
+from fleetpose.pose_server.app.acknowledgements import Acknowledgements
 from fleetpose.pose_server.app.event_queue import (
     Asked,
+    Denied,
     EventQueue,
     Moved,
     Selected,
@@ -41,16 +43,16 @@ from fleetpose.pose_server.scheduling.pair_queue import compare_some
 from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.state.views import open_view
-from fleetpose.pose_server.workers.dask_pool import ClusterPool
 from fleetpose.pose_server.workers.jobs import Done
-from fleetpose.pose_server.workers.pools import Engine, LocalPool
+from fleetpose.pose_server.workers.pools import Engine, Pool
 from fleetpose.protocol.codec import pack
-from fleetpose.protocol.drops import Drops
+from fleetpose.protocol.drops import Drops, kind_and_sender
 from fleetpose.protocol.errors import CodecError, FleetPoseError
 from fleetpose.protocol.keys import Keys, new_epoch, ordered_pair
 from fleetpose.protocol.messages import KeptView, OperatorUpdate, ViewName
 from fleetpose.protocol.presence import Presence
-from fleetpose.protocol.transport import Answer, Link
+from fleetpose.protocol.session.supervisor import Supervisor
+from fleetpose.protocol.transport import Answer, Link, Sample
 
 log = logging.getLogger("pose_server")
 
@@ -58,6 +60,7 @@ _TICK_S = 0.05
 _PRUNE_S = 2.0
 _GRAPH_S = 2.0  # of which a kill may cost the graph
 _STATUS_S = 1.0
+_HEARD_S = 1.0  # robots take a longer silence for a loss
 _ALARMS_S = 5.0
 _SOLVE_SHARE = 0.25  # of the server's own thread that solving may take
 _LONGEST_PAUSE_S = 1.0  # but poses must not wait longer for the next solution
@@ -66,22 +69,36 @@ _ANSWER_S = 2.0
 
 
 class Service:
-    """A running pose server."""
+    """A running pose server. What it is given is its own to close.
 
-    def __init__(self, site: Site, journal: Journal, link: Link, settings: ServerSettings) -> None:
+    Attributes:
+        stopped: set to end it.
+    """
+
+    def __init__(
+        self,
+        site: Site,
+        journal: Journal,
+        link: Link,
+        settings: ServerSettings,
+        pool: Pool,
+        metrics: Metrics | None,
+        stopped: threading.Event,
+        systemd: Supervisor,
+    ) -> None:
         self.site, self.journal, self.link, self.settings = site, journal, link, settings
         self.keys = Keys(settings.site)
         self.epoch = new_epoch()
-        self.stopped = threading.Event()
-        # first of all: once workers run, a refused address could no longer end the process
-        self._metrics = None if settings.metrics is None else Metrics(settings.metrics)
+        self.stopped = stopped
+        self._systemd = systemd
+        self._metrics = metrics
         self._queue: queue.SimpleQueue[object] = queue.SimpleQueue()
         self._drops = Drops()
         self._events = EventQueue(self.keys, self._queue, self._drops)
         put = Publishers(link).put
         self._publisher = FleetPublisher(site, self.keys, settings, self.epoch, put)
+        self._heard = Acknowledgements(site, self.keys, self.epoch, put, self._drops)
         self._clouds = link.on_bulk(self.keys.cloud("*"), self._events.wake)
-        pool = ClusterPool(settings.cluster) if settings.cluster else LocalPool(settings.workers)
         self._engine = Engine(pool, self._queue.put)
         self._fetcher = Fetcher(self.keys, link.query, self._queue.put, self._drops)
         self._pending = PendingUpdates(self._fetcher.ask)
@@ -134,6 +151,7 @@ class Service:
 
     def close(self) -> None:
         """Ends the workers and the session."""
+        self._systemd.stopping()
         if self._metrics is not None:
             self._metrics.close()
         self._fetcher.close()
@@ -182,6 +200,8 @@ class Service:
                 self._token(event)
             case Moved():
                 self.site.odometers.note(event.odometry)
+            case Denied():
+                pipeline.receive_denials(self.site, event.denials)
             case ServerEvent():
                 self.site.say(event.text)
             case Asked():
@@ -216,8 +236,15 @@ class Service:
                 monitor.note_arrival(self.site, view, time.time_ns())
                 pipeline.receive_view(self.site, view)
                 good += 1
+                self._heard.tell(view.name.robot, sample.at_s)
             except FleetPoseError as error:
-                self._drops.note(sample.key, error)
+                self._refuse(sample, error)
+
+    def _refuse(self, sample: Sample, error: FleetPoseError) -> None:
+        """Counts a view that cannot be used, and keeps why at its robot."""
+        self._drops.note(sample.key, error)
+        _, _, name = kind_and_sender(sample.key)[1].partition("/")
+        pipeline.refuse_view(self.site, name, str(error))
 
     def _viewed(self, kept: KeptView) -> None:
         """Takes the newest view of a robot that was there before this server."""
@@ -364,6 +391,8 @@ class Service:
                 "no_room": self._clouds.overflowed,
             }
             self._publish_status(drops)
+        if self._due("heard", _HEARD_S):
+            self._heard.tell_all()
         if self._due("alarms", _ALARMS_S):
             monitor.judge_calibrations(self.site)
         if self._due("graph", _GRAPH_S):
@@ -375,11 +404,10 @@ class Service:
         now = self._publisher.stamp()
         status = server_status(self.site, self._engine, self._load, self._stages, now, drops)
         self._publisher.put(self.keys.status, status)
+        robots = self.site.robots.values()
+        located = sum(r.alive and r.published is not None and r.published.located for r in robots)
+        self._systemd.alive(f"{located} of {len(robots)} robots located")
         if self._metrics is not None:
-            robots = self.site.robots.values()
-            located = sum(
-                r.alive and r.published is not None and r.published.located for r in robots
-            )
             self._metrics.show(status, len(robots), located)
 
     def _prune(self) -> None:

@@ -102,6 +102,8 @@ def server_status(
         wait_share=site.pair_queue.max_wait_share,
         stage_ms=stages.medians_ms(),
         picked=site.pair_queue.picked,
+        denied=site.denials.denied,
+        refused=site.denials.refused,
     )
 
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from fleetpose.pose_server.calibration.clocks import Clocks
 from fleetpose.pose_server.calibration.depth_comparison import DepthErrors
+from fleetpose.pose_server.calibration.links import Links
 from fleetpose.pose_server.calibration.mirrors import Mirrors
 from fleetpose.pose_server.calibration.time_offset import TimeOffsets
 from fleetpose.protocol.keys import RobotPair
@@ -38,6 +39,7 @@ class DepthHistory:
         moments: what robots' own views say of when their depths are measured.
         mirrors: which robots fit only if one of both is mirrored.
         clocks: what arrivals say of the robots' clocks.
+        links: what robots tell of their links.
         changed: whether anything was said or forgotten since that was asked last.
         compared: the same of comparisons of two robots.
     """
@@ -47,6 +49,7 @@ class DepthHistory:
     moments: TimeOffsets = field(default_factory=TimeOffsets)
     mirrors: Mirrors = field(default_factory=Mirrors)
     clocks: Clocks = field(default_factory=Clocks)
+    links: Links = field(default_factory=Links)
     _pairs: dict[RobotPair, deque[DepthStatement]] = field(default_factory=dict)
 
     def note(self, i: str, j: str, said: DepthStatement) -> None:
@@ -71,7 +74,7 @@ class DepthHistory:
         self._pairs = {pair: said for pair, said in self._pairs.items() if robot not in pair}
 
     def note_change(self) -> None:
-        """Something was said of moments, mirrors or clocks."""
+        """Something was said of moments, mirrors, clocks or links."""
         self.changed = True
 
     def take_changes(self) -> tuple[bool, bool]:

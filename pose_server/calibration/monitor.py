@@ -18,6 +18,7 @@ from fleetpose.pose_server.calibration.findings import (
     wrong_scales,
 )
 from fleetpose.pose_server.calibration.history import DepthStatement
+from fleetpose.pose_server.calibration.links import SLOW_S
 from fleetpose.pose_server.consistency.anchoring import anchor_alarms
 from fleetpose.pose_server.consistency.doubts import doubt_alarms
 from fleetpose.pose_server.geometry.features.motion import Mask
@@ -70,10 +71,14 @@ def note_time_offset(site: Site, done: Done) -> None:
 
 
 def note_arrival(site: Site, view: KeptView, now_ns: int) -> None:
-    """Keeps when a view arrived by the server's clock, which its robot's may be off from."""
+    """Keeps when a view arrived by the server's clock, which its robot's may be off from, and what
+    it tells of its link. Views that a slow link delays tell nothing of a clock.
+    """
     robot, epoch = view.name.robot, view.name.epoch
     if robot in site.robots:
-        site.depths.clocks.note(robot, epoch, 1e-9 * (view.stamp_ns - now_ns))
+        site.depths.links.note(robot, epoch, view.on_way_s, view.share)
+        if view.on_way_s <= SLOW_S:
+            site.depths.clocks.note(robot, epoch, 1e-9 * (view.stamp_ns - now_ns))
         site.depths.note_change()
 
 
@@ -107,6 +112,7 @@ def judge_calibrations(site: Site) -> None:
     alarms += _of_scales(site, bent)
     alarms += _of_skews(site, bent)
     alarms += _of_clocks(site)
+    alarms += _of_links(site)
     alarms += _of_mirrors(site)
     for alarm in site.alarms.renew(alarms):
         site.say(alarm.text)
@@ -204,6 +210,21 @@ def _of_clocks(site: Site) -> list[Alarm]:
         text = f"{what}; the stamps of its poses are in its own clock: set it by NTP or chrony"
         alarms.append(Alarm(robot=robot, kind="clock", text=text))
     return alarms
+
+
+def _of_links(site: Site) -> list[Alarm]:
+    """Robots whose views are late on their way, or have less in them for not to be."""
+    site.depths.links.keep_only({r for r, robot in site.robots.items() if robot.alive})
+    return [
+        Alarm(
+            robot=slow.robot,
+            kind="link",
+            text=f"the link of {slow.robot} is slow: a view takes {slow.on_way_s:.1f} s and holds "
+            f"{slow.share:.0%} of its salient points; give it a better one, or fewer frames per "
+            "second where several share it",
+        )
+        for slow in site.depths.links.slow()
+    ]
 
 
 def _of_mirrors(site: Site) -> list[Alarm]:

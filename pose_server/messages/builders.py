@@ -23,6 +23,7 @@ from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.pose_server.state.robots import PublishedAt, Robot
 from fleetpose.pose_server.state.site import Site
+from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import (
     Alignment,
     FleetState,
@@ -113,19 +114,24 @@ def robot_pose(
 
 def why_not_located(site: Site, robot: Robot, settings: ServerSettings, now_s: float) -> str:
     """Why a robot is not located; empty if it is."""
+    count, reason = robot.refused
     if robot.newest is None:
-        return (
-            "alive, but no view arrived: is its camera running, may it publish?"
-            if robot.alive
-            else "not there"
-        )
+        if not robot.alive:
+            return "not there"
+        if count:
+            return f"alive, but its views are refused, {count} so far: {reason}"
+        if denied := _denied(site, settings, robot):
+            return f"alive, but {denied}"
+        return "alive, but no view arrived: is its camera running, may it publish?"
     if absent := _absent(robot) or why_doubted(site, robot):
         return absent
     pose = robot.published
     if pose is None:
         return "its views are not aligned yet"
     if now_s - site.views[robot.newest].received_s > settings.fresh_s:
-        return f"its newest view is {now_s - site.views[robot.newest].received_s:.0f} s old"
+        old = f"its newest view is {now_s - site.views[robot.newest].received_s:.0f} s old"
+        why = f"{count} since were refused: {reason}" if count else _denied(site, settings, robot)
+        return f"{old}: {why}" if why else old
     placed = site.camera_pose(pose.view) if pose.view in site.views else None
     if placed is None or placed[2] is None:
         return "its newest view does not hang on the fleet's graph"
@@ -138,6 +144,13 @@ def why_not_located(site: Site, robot: Robot, settings: ServerSettings, now_s: f
     T, covariance = pose.T_fleet_robot, pose.covariance
     why = _why_not(site, settings, node, age_s, T, covariance, kept.median_depth_m)
     return _with_clicks_told(site, robot, why)
+
+
+def _denied(site: Site, settings: ServerSettings, robot: Robot) -> str:
+    """That routers let none of its views pass; empty if nothing is known of that."""
+    key = Keys(settings.site).cloud(robot.name)
+    count = site.denials.of(f"robot/{robot.name}", key)
+    return f"its router's rules deny its views, {count} so far" if count else ""
 
 
 def _with_clicks_told(site: Site, robot: Robot, why_not: str) -> str:

@@ -40,6 +40,7 @@ class Robot:
         changes: of calibration, and times that the clock went back.
         published: the pose that was told last, and where that put it.
         stood: the first view since which it has stood still and seen the same.
+        refused: how many of its views were refused since the newest one, and why the last was.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Robot:
     published: RobotPose | None = None
     published_at: PublishedAt | None = None
     stood: KeptView | None = None
+    refused: tuple[int, str] = (0, "")
 
     @property
     def alive(self) -> bool:
@@ -77,10 +79,17 @@ class Robot:
         self.epochs = [known for known in self.epochs if known != epoch]
         if alive:
             self.epochs.append(epoch)
+        else:
+            self.refused = (0, "")
 
     def arrive(self, view: ViewName) -> None:
         """A view is its newest one; it waits to be followed."""
         self.newest = self.waiting = view
+        self.refused = (0, "")
+
+    def refuse(self, reason: str) -> None:
+        """A view of it could not be used."""
+        self.refused = (self.refused[0] + 1, reason)
 
     def note_camera(self, view: KeptView, changes: int) -> None:
         """Calibration and clock are those of a view, in so many things others than before."""

@@ -22,7 +22,7 @@ from fleetpose.pose_server.scheduling.settings import Weights
 from fleetpose.pose_server.scheduling.weighted_round_robin import WeightedRoundRobin
 from fleetpose.pose_server.settings import RecipeName
 from fleetpose.pose_server.state.affine_retries import AffineRetries
-from fleetpose.pose_server.state.alarms import Alarms
+from fleetpose.pose_server.state.alarms import Alarms, RouterDenials
 from fleetpose.pose_server.state.click_caches import ClickCaches
 from fleetpose.pose_server.state.doubts import Doubts
 from fleetpose.pose_server.state.odometry import Odometers
@@ -83,6 +83,7 @@ class Site:
         odometers: what robots say of their own motion.
         clicks: what was worked out of the correspondences.
         alarms: about calibrations and clocks.
+        denials: what routers say that they deny.
         doubts: which robots' poses are not believed, and why.
         anchoring: which origins the fleet has had.
         view_index: keyframes by their looks.
@@ -123,6 +124,7 @@ class Site:
     odometers: Odometers = field(default_factory=Odometers)
     clicks: ClickCaches = field(default_factory=ClickCaches)
     alarms: Alarms = field(default_factory=Alarms)
+    denials: RouterDenials = field(default_factory=RouterDenials)
     doubts: Doubts = field(default_factory=Doubts)
     view_index: ViewIndex = field(default_factory=ViewIndex)
     anchoring: Anchoring = field(default_factory=Anchoring)

@@ -41,6 +41,8 @@ class KeptView:
             views are alike.
         content: tells whether two views have the same points: their robot saw no change.
         frozen_s: for how long the robot's camera has given the same image, to the last bit.
+        on_way_s: that the robot's view before it took to arrive.
+        share: of its salient points that the robot sent.
     """
 
     name: ViewName
@@ -55,6 +57,8 @@ class KeptView:
     signature_uv: npt.NDArray[np.float32]
     content: int
     frozen_s: float = 0.0
+    on_way_s: float = 0.0
+    share: float = 1.0
 
     @property
     def encoded(self) -> EncodedView:
@@ -91,6 +95,8 @@ def open_view(
             has_image=view.has_image,
             up_camera=view.up_camera,
             frozen_s=view.frozen_s,
+            on_way_s=view.on_way_s,
+            share=view.share,
         )
     points = some_points_of(view, _DEPTH_SAMPLE)
     if len(points.xyz) < MIN_POINTS:
@@ -116,6 +122,8 @@ def open_view(
         signature_uv=salient.uv[strongest],
         content=content,
         frozen_s=view.frozen_s,
+        on_way_s=view.on_way_s,
+        share=view.share,
     )
 
 

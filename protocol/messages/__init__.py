@@ -32,6 +32,9 @@ from fleetpose.protocol.messages.fields import (
     Text,
 )
 from fleetpose.protocol.messages.fields import Verdict as Verdict
+from fleetpose.protocol.messages.network import Denial as Denial
+from fleetpose.protocol.messages.network import Denials as Denials
+from fleetpose.protocol.messages.network import Heard as Heard
 from fleetpose.protocol.messages.questions import Answer as Answer
 from fleetpose.protocol.messages.questions import Question as Question
 from fleetpose.protocol.messages.questions import Suggestion as Suggestion
@@ -40,14 +43,20 @@ from fleetpose.protocol.messages.replies import WhyNot as WhyNot
 from fleetpose.protocol.messages.view_name import ViewName as ViewName
 
 
-class CameraAnnouncement(Message, frozen=True, schema="fleet.camera_announcement.v1"):
-    """What is latched under `robot/<id>/camera`."""
+class CameraAnnouncement(
+    Message,
+    frozen=True,
+    schema="fleet.camera_announcement.v2",
+    before="fleet.camera_announcement.v1",
+):
+    """What is latched under `robot/<id>/camera`. v2 says which version the robot runs."""
 
     robot: Name
     epoch: Epoch
     camera: Camera
     rate_hz: Positive
     capabilities: Many[Name] = ()
+    version: Text = Field(default="", description="of the robot's software")
 
 
 class DepthCloud(Message, frozen=True, schema="fleet.depth_cloud.v1", at_most=MAX_MESSAGE_BYTES):
@@ -97,12 +106,12 @@ class Salient(Message, frozen=True, schema="fleet.salient.v1", at_most=MAX_MESSA
 class View(
     Message,
     frozen=True,
-    schema="fleet.view.v2",
-    before="fleet.view.v1",
+    schema="fleet.view.v3",
+    before="fleet.view.v2",
     at_most=MAX_MESSAGE_BYTES,
 ):
-    """`robot/<id>/cloud`: what a robot saw at one moment, without the image. v2 says when a live
-    camera gives the same image again and again.
+    """`robot/<id>/cloud`: what a robot saw at one moment, without the image. v3 says what the link
+    makes of it.
     """
 
     name: ViewName
@@ -117,6 +126,12 @@ class View(
         default=0.0,
         description="for how long all images of a live camera have been identical to the last bit, "
         "which no sensor's are, s; 0 where they are not, or where the source is a recording",
+    )
+    on_way_s: NonNegative = Field(
+        default=0.0, description="that the view before it took to the server; 0 where not known"
+    )
+    share: Probability = Field(
+        default=1.0, description="of the salient points that it sends where the link is fast"
     )
 
     @model_validator(mode="after")
@@ -140,12 +155,12 @@ class ImageHeader(Message, frozen=True, schema="fleet.image_header.v1"):
 class KeptView(
     Message,
     frozen=True,
-    schema="fleet.kept_view.v2",
-    before="fleet.kept_view.v1",
+    schema="fleet.kept_view.v3",
+    before="fleet.kept_view.v2",
     at_most=MAX_MESSAGE_BYTES,
 ):
-    """Reply of `robot/<id>/view?seq=12` : a view kept by its robot, or journalled by the server. v2
-    holds a `View` of v2.
+    """Reply of `robot/<id>/view?seq=12` : a view kept by its robot, or journalled by the server. v3
+    holds a `View` of v3.
     """
 
     view: View
@@ -328,8 +343,9 @@ class Alarm(Message, frozen=True, schema="fleet.alarm.v1"):
 
     robot: Name
     kind: Name = Field(
-        description="what is off: scale, unequal, bent, skew, clock, mirrored; frozen, still, "
-        "lost, carried: the robot is not located while it stands; anchor: there is no such robot"
+        description="what is off: scale, unequal, bent, skew, clock, link, mirrored; frozen, "
+        "still, lost, carried: the robot is not located while it stands; anchor: there is no such "
+        "robot"
     )
     text: Text
 
@@ -370,9 +386,9 @@ class FleetState(
     )
 
 
-class ServerStatus(Message, frozen=True, schema="fleet.status.v2", before="fleet.status.v1"):
-    """`server/status`: load, queue and drops. v2 says what waits, what takes time, and why the last
-    pair was picked.
+class ServerStatus(Message, frozen=True, schema="fleet.status.v3", before="fleet.status.v2"):
+    """`server/status`: load, queue and drops. v3 says what routers deny and whom they do not let
+    in.
     """
 
     server_epoch: Epoch
@@ -399,6 +415,12 @@ class ServerStatus(Message, frozen=True, schema="fleet.status.v2", before="fleet
         default={}, description="median of the last times of each stage, server's and workers'"
     )
     picked: Text = Field(default="", description="why the last pair of robots was picked")
+    denied: Many[Denial] = Field(
+        default=(), description="what the routers' rules did not let pass, the newest kinds first"
+    )
+    refused: dict[Text, Count] = Field(
+        default={}, description="handshakes that failed at the routers, by their cause"
+    )
 
 
 MESSAGES: tuple[type[Message], ...] = tuple(Message.__subclasses__())

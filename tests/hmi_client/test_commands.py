@@ -4,12 +4,16 @@ import csv
 import json
 import subprocess
 import sys
+import threading
 
+import hmi_fakes
+import hmi_server
 import pytest
-from hmi_fakes import alignment, wait_for
+from hmi_fakes import CAMERA, ROBOT_EPOCH, alignment, wait_for
 
 from fleetpose.hmi_client.__main__ import main
-from fleetpose.protocol.transport import free_port
+from fleetpose.protocol.messages import CameraAnnouncement, Denial
+from fleetpose.protocol.transport import Link, SessionSettings, free_port, open_session
 
 
 @pytest.fixture
@@ -53,6 +57,31 @@ def test_without_a_receipt_it_says_that_nothing_is_known_and_exits_with_3(hmi, s
     serve(mute=True)
     output = hmi("correspondences", "add", "r1", "r2", "1,2,3,4", "--timeout", "0.5", code=3)
     assert "not known" in output
+
+
+def test_clicks_that_a_router_denies_are_told_from_those_that_nobody_hears(hmi, serve, monkeypatch):
+    updates = "fleet/demo/operator/anna/correspondences"
+    denied = (
+        Denial(who="operator/ben", what="Put (ingress)", key=updates, n=9),
+        Denial(who="operator/anna#2", what="Put (ingress)", key="fleet/demo/pose/r1", n=9),
+        Denial(who="operator/anna#2", what="Put (ingress)", key=updates, n=1),
+    )
+    monkeypatch.setattr(
+        hmi_server,
+        "status",
+        lambda *told: hmi_fakes.status(*told).model_copy(update={"denied": denied}),
+    )
+    server = serve(mute=True)
+    add = ("correspondences", "add", "r1", "r2", "1,2,3,4", "--operator")
+    assert f"denied by the router's rules: Put (ingress) on {updates}" in hmi(
+        *add, "anna", "--timeout", "1", code=3
+    )
+    assert "the server is there, but" in hmi(*add, "carl", "--timeout", "1", code=3)
+
+    ending = threading.Timer(3.0, server.close)
+    ending.start()
+    assert "not heard, no server is there" in hmi(*add, "carl", "--timeout", "9", code=3)
+    ending.join()
 
 
 def test_erase_clear_and_list(hmi, serve):
@@ -213,3 +242,72 @@ def test_a_screenshot_shows_the_fleet(hmi, serve, tmp_path):
     svg = out.read_text()
     assert "view&#160;" in svg and "fleet&#160;from&#160;above" in svg and "▀" in svg
     wait_for(lambda: not server.image_wanted("r1"))  # the client has left
+
+
+@pytest.fixture
+def link(router):
+    """A link of somebody who listens."""
+    opened = Link(open_session(SessionSettings(connect=(router,), timeout_s=5)))
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def configured(router, tmp_path):
+    """Writes a configuration for the router: `configured("observer", "wall")`."""
+
+    def write(role: str, name: str, site: str = "demo") -> str:
+        file = tmp_path / f"{role}.json5"
+        metadata = {"fleetpose": {"site": site, "role": role, "name": name}}
+        quiet = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
+        content = {"mode": "client", "metadata": metadata, "scouting": quiet}
+        file.write_text(json.dumps(content | {"connect": {"endpoints": [router]}}))
+        return str(file)
+
+    return write
+
+
+def test_an_observer_sees_all_and_says_nothing(hmi, serve, link, configured):
+    server = serve()
+    said = link.on_bulk("fleet/demo/operator/**")
+    wall = ("--config", configured("observer", "wall"))
+    assert "4 of 6 robots located" in hmi("status", *wall)
+    assert "you may only look" in hmi(
+        "correspondences", "add", "r1", "r2", "1,2,3,4", *wall, code=2
+    )
+    assert not server.updates and not server.selections and said.take(0) is None
+
+
+def test_status_tells_denials_and_robots_of_another_version(hmi, serve, monkeypatch):
+    cloud = "fleet/demo/robot/r1/cloud"
+    denied = tuple(
+        Denial(who="robot/r2", what=what, key=cloud, n=n)
+        for what, n in (("Put (ingress)", 31), ("Query (ingress)", 4), ("a", 3), ("b", 2))
+    )
+    changed = {"denied": denied, "refused": {"expired": 3}}
+    monkeypatch.setattr(
+        hmi_server, "status", lambda *told: hmi_fakes.status(*told).model_copy(update=changed)
+    )
+    server = serve(live=False)
+    for robot, version in (("r1", "0.1.0"), ("r2", "0.0.9"), ("r3", "")):
+        announced = CameraAnnouncement(
+            robot=robot, epoch=ROBOT_EPOCH, camera=CAMERA, rate_hz=1.0, version=version
+        )
+        server.put(server.keys.camera(robot), announced)
+    said = hmi("status")
+    assert f"denied to robot/r2: Put (ingress) on {cloud} 31, Query (ingress) on {cloud} 4" in said
+    assert "and 1 more kinds" in said and "turned away: expired 3" in said
+    assert "not of the server's version 0.1.0: " in said and "r1 0.1.0" not in said
+    assert "r2 0.0.9, r3 an older one" in said
+
+
+def test_an_operators_name_and_site_are_the_configurations(hmi, serve, configured):
+    server = serve()
+    anna = ("--config", configured("operator", "anna"))
+    hmi("correspondences", "add", "r1", "r2", "10,20,30,40", *anna)
+    assert {update.operator for update in server.updates} == {"anna"}
+    refused = hmi("status", *anna, "--operator", "ben", code=2)
+    assert "--operator ben" in refused and "operator 'anna' of site 'demo'" in refused
+    elsewhere = configured("operator", "anna", site="church")
+    assert "--site demo" in hmi("status", "--config", elsewhere, "--site", "demo", code=2)
+    assert "site 'church' answered" in hmi("status", "--config", elsewhere, code=3)

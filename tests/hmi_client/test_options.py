@@ -22,7 +22,7 @@ def asked(monkeypatch):
     def screen(where, fps, threshold, log, theme, keys):
         met.update(where=where, fps=fps, threshold=threshold, log=log, theme=theme, keys=keys)
 
-    def server(where):
+    def server(where, patient=False):
         met["where"] = where
         raise c.NoServerError("none here")
 
@@ -59,14 +59,16 @@ def test_without_options_it_is_the_screen_of_this_machine(asked):
 @pytest.mark.parametrize(
     "command", [("why", "r7"), ("status",), ("watch",), ("correspondences", "list"), ("screen",)]
 )
-def test_options_count_before_the_command_as_behind_it(asked, command):
+def test_options_count_before_the_command_as_behind_it(asked, command, tmp_path):
+    config = tmp_path / "tls.json5"
+    config.write_text("{}")
     options = ("--connect", DESK, "--connect", "tcp/10.0.0.2:7447", "--site", "hall-2")
-    options += ("--operator", "anna", "--config", "tls.json5")
+    options += ("--operator", "anna", "--config", str(config))
     before, behind = asked(*options, *command), asked(*command, *options)
     assert before["where"] == behind["where"]
     where = before["where"]
     assert where.connect == (DESK, "tcp/10.0.0.2:7447") and where.site == "hall-2"
-    assert (where.operator, where.config) == ("anna", Path("tls.json5"))
+    assert (where.operator, where.config) == ("anna", config)
 
 
 def test_options_of_the_screen_count_before_it_too(asked):

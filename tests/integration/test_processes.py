@@ -4,7 +4,10 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from fleetpose.deploy.local_fleet import LocalFleet
@@ -43,6 +46,17 @@ def run_server(fleet: LocalFleet, *options: str) -> subprocess.CompletedProcess[
         *options,
     ]
     return subprocess.run(command, capture_output=True, text=True, timeout=SAID_S, check=False)
+
+
+def recording(folder: Path) -> Path:
+    """Two frames of a camera that looks at a wall."""
+    noise = np.random.default_rng(0).integers(0, 256, (120, 160, 3), np.uint8)
+    for n in range(2):
+        cv2.imwrite(str(folder / f"frame-{n:06d}.color.png"), cv2.GaussianBlur(noise, (0, 0), 1.5))
+        wall = np.full((120, 160), 1500, np.uint16)
+        cv2.imwrite(str(folder / f"frame-{n:06d}.depth.png"), wall)
+    np.savetxt(folder / "camera-intrinsics.txt", [[150, 0, 80], [0, 150, 60], [0, 0, 1]])
+    return folder
 
 
 def ended(fleet: LocalFleet, name: str) -> int | None:
@@ -123,3 +137,26 @@ def test_a_taken_port_is_said_in_a_sentence(fleet):
     second = subprocess.run(command, capture_output=True, text=True, timeout=SAID_S, check=False)
     assert second.returncode == 2
     assert fleet.endpoint in second.stderr and "Traceback" not in second.stderr
+
+
+def test_processes_start_in_any_order_and_say_what_they_wait_for(fleet, tmp_path):
+    start_processes = ("server", "r1", "watch")
+    fleet.start_server("--workers", "1")
+    fleet.start_robot("r1", "rgbd", str(recording(tmp_path)), "--replay", "loop")
+    fleet.start("watch", "fleetpose.hmi_client", "watch", *fleet.connection)
+    waits = f"no zenoh router at {fleet.endpoint}"
+    for name in start_processes:
+        assert wait_until(lambda name=name: waits in fleet.tail(name), SAID_S), fleet.tail(name)
+    fleet.start_router()
+    assert wait_until(lambda: "pose" in fleet.tail("watch"), 60), fleet.tail("watch")
+    assert not fleet.exited()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_who_waits_for_a_router_can_be_asked_to_end(fleet, tmp_path, number):
+    fleet.start_server("--workers", "1")
+    assert wait_until(lambda: "waiting for it" in fleet.tail("server"), SAID_S)
+    os.kill(fleet.pid("server"), number)
+    assert wait_until(lambda: ended(fleet, "server") is not None, END_S)
+    assert ended(fleet, "server") == 0 and "Traceback" not in fleet.tail("server")
+    assert fleet.leftover_processes() == 0

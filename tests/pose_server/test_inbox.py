@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fleetpose.pose_server import pipeline
-from fleetpose.pose_server.app.event_queue import EventQueue, Selected, Updated
+from fleetpose.pose_server.app.event_queue import MAX_TOKENS, EventQueue, Selected, Updated
 from fleetpose.protocol.codec import encoding_of, pack
 from fleetpose.protocol.drops import Drops
 from fleetpose.protocol.keys import Keys
@@ -38,6 +38,20 @@ def test_a_selection_is_stored(inbox):
     chosen = Selection(operator="op", session=EPOCH, i="r1", j="r2")
     inbox._selection(Sample(KEYS.selection("op"), pack(chosen), encoding_of(Selection)))
     assert inbox._store.get() == Selected(chosen)
+
+
+def test_tokens_beyond_a_few_under_one_name_never_reach_the_servers_thread(inbox):
+    for k in range(20_000):
+        inbox._token(KEYS.robot_alive("r2", f"{k:012x}"), True)
+    inbox._token(KEYS.robot_alive("r1", "a" * 12), True)
+    taken = [inbox._store.get().robot for _ in range(inbox._store.qsize())]
+    assert taken == ["r2"] * MAX_TOKENS + ["r1"]
+    assert inbox._drops.total() == 20_000 - MAX_TOKENS
+    for k in range(20_000):
+        inbox._token(KEYS.robot_alive("r2", f"{k:012x}"), False)
+    assert inbox._store.qsize() == MAX_TOKENS
+    inbox._token(KEYS.robot_alive("r2", "b" * 12), True)
+    assert inbox._store.qsize() == MAX_TOKENS + 1
 
 
 def test_nobody_speaks_in_anothers_name(inbox, scene):

@@ -54,6 +54,7 @@ SALIENT = m.Salient(
     ),
 )
 """(10.5, 20.25) with inverse depth 0.5 +- 0.01 and (30, 40) without; descriptors 0..7, 8..15."""
+DENIAL = m.Denial(who="robot/r2", what="put", key="fleet/demo/robot/r1/cloud", n=5)
 VIEW = m.View(
     name=V1,
     stamp_ns=1,
@@ -63,7 +64,10 @@ VIEW = m.View(
     up_camera=np.array([0.0, -1.0, 0.0]),
     up_sigma_rad=0.01,
     frozen_s=2.5,
+    on_way_s=0.5,
+    share=0.75,
 )
+BARE = {"frozen_s": 0.0, "on_way_s": 0.0, "share": 1.0}
 HEADER = m.ImageHeader(view=V1, stamp_ns=1, scale=2)
 POSE = m.RobotPose(
     robot="r1",
@@ -129,14 +133,32 @@ EXAMPLES = {
         NOISE,
         CAMERA,
         m.CameraAnnouncement(
-            robot="r1", epoch=EPOCH, camera=CAMERA, rate_hz=1.0, capabilities=("image",)
+            robot="r1",
+            epoch=EPOCH,
+            camera=CAMERA,
+            rate_hz=1.0,
+            capabilities=("image",),
+            version="0.1.0",
         ),
+        m.Heard(
+            robot="r1",
+            epoch=EPOCH,
+            seq=12,
+            waited_s=0.25,
+            drops={"not msgpack": 2},
+            version="0.1.0",
+            reads=("fleet.view.v2", "fleet.view.v3"),
+            server_epoch=EPOCH,
+            n=7,
+        ),
+        DENIAL,
+        m.Denials(router="a", epoch=EPOCH, denied=(DENIAL,), refused={"Expired": 3}),
         DEPTH,
         SCATTERED,
         SALIENT,
         VIEW,
         HEADER,
-        m.KeptView(view=VIEW.model_copy(update={"frozen_s": 0.0}), jpeg=b"\xff\xd8", image=HEADER),
+        m.KeptView(view=VIEW.model_copy(update=BARE), jpeg=b"\xff\xd8", image=HEADER),
         m.Odometry(robot="r1", epoch=EPOCH, stamp_ns=1, T_odom_robot=T, covariance=COVARIANCE),
         m.PairError(other="r2", rmse_m=0.1, verdict="ambiguous"),
         POSE,
@@ -227,6 +249,8 @@ EXAMPLES = {
             version="0.1.0",
             waiting={"joining": 3},
             wait_share=0.25,
+            denied=(DENIAL,),
+            refused={"Expired": 3},
             stage_ms={"solve": 5.5},
             picked="r1 - r2: may join two components",
         ),

@@ -14,7 +14,7 @@ from fleetpose.protocol import codec
 from fleetpose.protocol import messages as m
 from fleetpose.protocol.clouds import MAX_CLOUD_PIXELS, SalientPoints, decode_depth, encode_salient
 from fleetpose.protocol.clouds import decode_salient as decoded
-from fleetpose.protocol.drops import MAX_REASONS, MAX_SAID, OTHER, Drops
+from fleetpose.protocol.drops import MAX_REASONS, MAX_REASONS_OF_ONE, MAX_SENDERS, OTHER, Drops
 from fleetpose.protocol.errors import CodecError, NameRefusedError
 from fleetpose.protocol.keys import NAME_PATTERN, Keys
 from fleetpose.protocol.slots import Sample, Slots
@@ -173,11 +173,34 @@ def test_every_drop_is_counted_once_and_reasons_are_bounded(noted):
 def test_the_log_ends_where_keys_are_invented_and_the_count_goes_on(caplog):
     drops = Drops()
     with caplog.at_level(logging.WARNING):
-        for k in range(MAX_SAID + 50):
+        for k in range(MAX_SENDERS + 50):
             drops.note(f"fleet/demo/robot/x{k}/cloud", "not msgpack")
-    assert drops == {"not msgpack": MAX_SAID + 50}
-    assert len(caplog.records) == MAX_SAID + 1
-    assert "only counted" in caplog.records[-1].getMessage()
+    assert drops == {"not msgpack": MAX_SENDERS + 50}
+    assert len(caplog.records) == MAX_SENDERS
+
+
+def test_a_sender_fills_its_own_room_and_no_other(caplog):
+    drops = Drops()
+    words = [chr(97 + k % 26) + chr(97 + k // 26) for k in range(200)]
+    with caplog.at_level(logging.WARNING):
+        for k, word in enumerate(words):
+            drops.note(f"fleet/demo/robot/r2/alive/{k:012x}", word)
+        assert len(caplog.records) == MAX_REASONS_OF_ONE + 1
+        assert "drops of robot/r2 were told" in caplog.records[-1].getMessage()
+        drops.note("fleet/demo/robot/r1/cloud", "not msgpack")
+    assert "not msgpack" in caplog.records[-1].getMessage()
+    assert drops.of("robot/r1") == {"not msgpack": 1}
+    assert drops.of("robot/r2")[OTHER] == len(words) - MAX_REASONS_OF_ONE
+    assert drops.of("robot/r9") == {}
+
+
+def test_a_reason_is_told_once_for_each_kind_of_key(caplog):
+    drops = Drops()
+    with caplog.at_level(logging.WARNING):
+        for kind in ("cloud", "odometry"):
+            for _ in range(3):
+                drops.note(f"fleet/demo/robot/r1/{kind}", "not msgpack")
+    assert len(caplog.records) == 2 and drops == {"not msgpack": 6}
 
 
 def test_drops_of_many_threads_are_all_counted():

@@ -24,8 +24,9 @@ ADDED = {
         "why_not": "",
     },
     "fleet.question.v1": {"suggestions": ()},
-    "fleet.view.v1": {"frozen_s": 0.0},
-    "fleet.status.v1": {"waiting": {}, "wait_share": 0.0, "stage_ms": {}, "picked": ""},
+    "fleet.view.v2": {"on_way_s": 0.0, "share": 1.0},
+    "fleet.camera_announcement.v1": {"version": ""},
+    "fleet.status.v2": {"denied": (), "refused": {}},
 }
 """What the reader puts where an earlier version had no field yet."""
 READ = [(c, c.schema_name) for c in m.MESSAGES] + [

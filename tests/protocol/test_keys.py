@@ -23,6 +23,8 @@ def test_keys_of_a_robot():
 def test_keys_of_the_server():
     keys = Keys("demo")
     assert keys.pose("r7") == "fleet/demo/pose/r7"
+    assert keys.heard("r7") == "fleet/demo/heard/r7"
+    assert keys.denials("a") == "fleet/demo/router/a/denials"
     assert keys.poses == "fleet/demo/pose/**"
     assert keys.relative == "fleet/demo/server/relative"
     assert keys.status == "fleet/demo/server/status"

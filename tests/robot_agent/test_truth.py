@@ -16,6 +16,7 @@ from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import RelativePose, RobotPose, WhyNot
 from fleetpose.protocol.transport import Answer, Link, Sample, open_session, wait_until
 from fleetpose.robot_agent import client as client_module
+from fleetpose.robot_agent import hearing
 from fleetpose.robot_agent import poses as poses_module
 from fleetpose.robot_agent.client import FleetRobot
 from fleetpose.robot_agent.poses import PoseBoard
@@ -207,7 +208,8 @@ def test_a_server_that_does_not_know_the_robot_says_so(robot, link):
 
 
 def test_a_mistyped_site_is_told_and_the_right_one_named(router, link, caplog, monkeypatch):
-    monkeypatch.setattr(client_module, "NO_SERVER_S", 0.2)
+    monkeypatch.setattr(hearing, "UNHEARD_S", 0.2)
+    caplog.set_level(logging.INFO)
     link.token(KEYS.server_alive(LIVE))
     with FleetRobot("r1", settings_for(router), site="dmeo", camera=MODEL) as lost:
         assert not lost.server_alive
@@ -220,22 +222,10 @@ def test_a_mistyped_site_is_told_and_the_right_one_named(router, link, caplog, m
             return caplog.text.count("no server at site 'dmeo'")
 
         assert wait_until(lambda: logged() == 1, 5)
-        assert [logged() for _ in range(5)] == [1] * 5  # once
+        assert "There is one at demo." in caplog.text
+        assert [logged() for _ in range(5)] == [1] * 5  # once a minute
         with pytest.raises(client_module.UnreachableError, match="is the site name right"):
             lost.relative_pose("r2", timeout_s=1)
-        link.token(Keys("dmeo").server_alive(OTHER))
-        assert wait_until(lambda: lost.server_alive, 5)
-        with caplog.at_level(logging.INFO):
-            lost.push(IMAGE, DEPTH)
-        assert "a server is at site 'dmeo' now" in caplog.text
-
-
-def test_a_server_that_is_there_leaves_nothing_to_log(robot, link, caplog, monkeypatch):
-    monkeypatch.setattr(client_module, "NO_SERVER_S", 0.0)
-    link.token(KEYS.server_alive(LIVE))
-    assert wait_until(lambda: robot.server_alive, 5)
-    robot.push(IMAGE, DEPTH)
-    assert "no server" not in caplog.text
 
 
 def test_a_lost_router_is_told_from_a_site_without_a_server(own_router):

@@ -1,0 +1,1 @@
+"""How a process reaches the router: its configuration, its identity, and the session's opening."""

@@ -1,0 +1,129 @@
+"""What the server says that it has of this robot, and the silence that is told where it says
+nothing.
+"""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+
+from fleetpose.protocol.codec import encoding_of, unpack
+from fleetpose.protocol.drops import Drops
+from fleetpose.protocol.errors import CodecError, FleetPoseError
+from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.messages import Heard, View
+from fleetpose.protocol.presence import LiveServer
+from fleetpose.protocol.transport import Sample
+
+log = logging.getLogger(__name__)
+
+UNHEARD_S = 5.0  # with views on their way and no word of the server, until that is told
+AGAIN_S = 60.0
+_LOOK_S = 0.2
+
+
+class Hearing:
+    """Takes the server's words on this robot's views.
+
+    Args:
+        keys: of the site.
+        name: the robot's.
+        epoch: of its present life.
+        server: the one that is listened to.
+        drops: where what cannot be used is counted.
+        confirm: is told the number of a view that the server has, and the seconds it lay there.
+    """
+
+    def __init__(
+        self,
+        keys: Keys,
+        name: str,
+        epoch: str,
+        server: LiveServer,
+        drops: Drops,
+        confirm: Callable[[int, float], None],
+    ) -> None:
+        self._keys, self._name, self._epoch = keys, name, epoch
+        self._server, self._drops, self._confirm = server, drops, confirm
+        self._newest: Heard | None = None
+        self._told_of: str | None = None
+
+    @property
+    def newest(self) -> Heard | None:
+        """The last word of the server that lives, None without one."""
+        newest = self._newest
+        lives = newest is not None and newest.server_epoch == self._server.epoch
+        return newest if lives else None
+
+    def store(self, sample: Sample) -> None:
+        """For the subscriber's callback."""
+        try:
+            heard = unpack(Heard, sample.payload, sample.encoding)
+            if sample.key != self._keys.heard(heard.robot) or heard.robot != self._name:
+                raise CodecError(f"what is heard of '{heard.robot}' under another robot's key")
+            self._server.check(heard.server_epoch, "what is heard")
+        except FleetPoseError as error:
+            self._drops.note(sample.key, error)
+            return
+        before = self._newest
+        same = before is not None and before.server_epoch == heard.server_epoch
+        if before is not None and same and heard.n <= before.n:
+            return
+        self._newest = heard
+        if not same:
+            self._tell_versions(heard)
+        if heard.epoch == self._epoch and heard.seq is not None:
+            self._confirm(heard.seq, heard.waited_s)
+
+    def _tell_versions(self, heard: Heard) -> None:
+        """Once for each server: that it runs another version, and whether it reads this one's."""
+        mine = version("fleetpose")
+        if unread := unread_by(heard):
+            log.warning("%s", unread)
+        elif heard.version != mine:
+            log.info("the server runs fleetpose %s, this robot %s", heard.version, mine)
+
+
+def unread_by(heard: Heard) -> str:
+    """That a server cannot read this robot's views; empty if it can."""
+    sends = encoding_of(View).rpartition(";")[2]
+    if sends in heard.reads:
+        return ""
+    return (
+        f"the server (fleetpose {heard.version}) does not read {sends}, which this robot "
+        f"(fleetpose {version('fleetpose')}) sends: bring both to one version"
+    )
+
+
+class SilenceWatch(threading.Thread):
+    """Tells that the server has none of the views that are sent: after some seconds, and again each
+    minute, with the most probable cause.
+
+    Args:
+        unheard_s: for how long views have been sent in vain.
+        cause: finds the cause; may ask the network.
+    """
+
+    def __init__(self, unheard_s: Callable[[], float], cause: Callable[[], str]) -> None:
+        super().__init__(name="silence", daemon=True)
+        self._unheard_s, self._cause = unheard_s, cause
+        self._stop_asked = threading.Event()
+
+    def run(self) -> None:
+        told_s: float | None = None
+        while not self._stop_asked.wait(_LOOK_S):
+            unheard_s, now_s = self._unheard_s(), time.monotonic()
+            if unheard_s <= UNHEARD_S:
+                if told_s is not None and unheard_s == 0.0:
+                    log.info("the server hears this robot again")
+                    told_s = None
+                continue
+            if told_s is None or now_s - told_s > AGAIN_S:
+                told_s = now_s
+                log.warning("not heard for %.0f s: %s", unheard_s, self._cause())
+
+    def close(self) -> None:
+        """Ends the thread, unless it is asking the network now."""
+        self._stop_asked.set()
+        self.join(_LOOK_S)
