@@ -86,7 +86,7 @@ class FleetRobot:
         self.drops = Drops()
         self._link = Link(open_session(session))
         self._server = LiveServer(self._link, self._keys)
-        self._secured = session.config_file is not None
+        self._session = session
         self._poses = PoseBoard(self._keys, self.drops, self._server, self._posed)
         try:
             self._presence = Presence(
@@ -253,7 +253,8 @@ class FleetRobot:
         if not self._link.connected:
             return "no router is reached: what is sent is lost until one is"
         site = self._keys.site
-        rules = " Do the router's rules know this robot's certificate?" if self._secured else ""
+        secured = self._session.config_file is not None
+        rules = " Do the router's rules know this robot's certificate?" if secured else ""
         return (
             f"no server at site '{site}': is the site name right, is 'pose-server run' running?"
             + rules
@@ -287,6 +288,9 @@ class FleetRobot:
 
     def _why_unheard(self) -> str:
         """The most probable cause of the server having none of the views that are sent now."""
+        if not self._link.connected:
+            why = self._session.configuration().why_unreachable()
+            return self._no_server() + (f" ({why})" if why else "")
         if not self.server_alive:
             return self._no_server() + self._elsewhere()
         heard = self._hearing.newest

@@ -12,6 +12,7 @@ import zenoh
 
 from fleetpose.protocol.errors import EndpointError
 from fleetpose.protocol.keys import checked_endpoint
+from fleetpose.protocol.session.probe import why_refused
 from fleetpose.protocol.text import one_line
 
 OPEN_TIMEOUT_MS = 1500  # for one endpoint: the first of two may swallow packets
@@ -42,6 +43,16 @@ class Configuration:
     def is_client(self) -> bool:
         """Whether it needs a router."""
         return self.mode == "client"
+
+    def why_unreachable(self) -> str:
+        """What is wrong with the links to its routers, where that can be found out: TLS only. It
+        may take some seconds for each.
+        """
+        tls = self.get(_TLS) or {}
+        found = {one: why_refused(one, tls) for one in self.endpoints}
+        several = len(found) > 1
+        said = (f"{one}: {why}" if several else why for one, why in found.items() if why)
+        return "; ".join(said)
 
     def get(self, key: str) -> Any:
         """A value of the configuration."""

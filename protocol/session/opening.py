@@ -85,12 +85,11 @@ def _connected(config: Configuration, settings: SessionSettings) -> zenoh.Sessio
             session = zenoh.open(config.zenoh)
         except zenoh.ZError as error:
             waited_s = time.monotonic() - began_s
-            reason = f"no zenoh router at {where}: {without_source(str(error))}"
             if 0 <= settings.timeout_s <= waited_s:
-                raise UnreachableError(reason) from error
+                raise UnreachableError(_reason(where, config, error)) from error
             settings.waiting(f"waiting for a router at {where}")
             if settings.timeout_s < 0 and waited_s >= say_s:
-                log.warning("%s; waiting for it", reason)
+                log.warning("%s; waiting for it", _reason(where, config, error))
                 say_s = waited_s + _SAID_AGAIN_S
         else:
             if say_s:
@@ -100,3 +99,8 @@ def _connected(config: Configuration, settings: SessionSettings) -> zenoh.Sessio
         stop.wait(min(pause_s, max(left_s, 0.01)) if settings.timeout_s >= 0 else pause_s)
         pause_s = min(1.5 * pause_s, _LONGEST_PAUSE_S)
     raise EndedError(f"asked to end while waiting for a router at {where}")
+
+
+def _reason(where: str, config: Configuration, error: zenoh.ZError) -> str:
+    said = config.why_unreachable() or without_source(str(error))
+    return f"no zenoh router at {where}: {said}"

@@ -159,4 +159,4 @@ def test_who_waits_for_a_router_can_be_asked_to_end(fleet, tmp_path, number):
     os.kill(fleet.pid("server"), number)
     assert wait_until(lambda: ended(fleet, "server") is not None, END_S)
     assert ended(fleet, "server") == 0 and "Traceback" not in fleet.tail("server")
-    assert fleet.leftover_processes() == 0
+    assert wait_until(lambda: fleet.leftover_processes() == 0, SAID_S)

@@ -325,7 +325,7 @@ def test_a_flood_is_counted_instead_of_kept(inbox, monkeypatch):
 
 def test_an_answer_that_is_no_view_is_counted():
     drops, fetched = Drops(), []
-    sample = Sample("x", b"\xc1", "application/msgpack;fleet.kept_view.v1")
+    sample = Sample("x", b"\xc1", "application/msgpack;fleet.kept_view.v2")
     fetcher = Fetcher(KEYS, lambda *_: sample, fetched.append, drops)
     fetcher._fetch(GOOD.name)
     fetcher.close()
