@@ -210,6 +210,7 @@ class SoakOptions:
 
     hours: float = told("How long, after the fleet has come up.", 1.0, min=0.001)
     robots: int = told("That walk in the synthetic world.", 4, min=3, max=16)
+    rate_hz: float = told("Views of each robot per second.", 0.5, "--rate", min=0.05)
     trouble_s: float = told("Seconds between two troubles.", 45.0, "--every", min=1.0)
     seed: int = told("Of the world, and of what happens to whom.", 0)
 

@@ -26,12 +26,12 @@ def test_growth_is_that_of_the_longest_stretch_that_nobody_touched_once_caches_a
 
 @pytest.mark.timeout(300)
 def test_a_short_soak_loses_nothing_and_leaves_its_tables(tmp_path):
-    options = SoakOptions(hours=40 / 3600, robots=3, trouble_s=8.0)
+    options = SoakOptions(hours=20 / 3600, robots=3, trouble_s=6.0)
     summary = command.run(options, tmp_path)
     assert summary["killed"] + summary["frozen"] >= 1
     assert (summary["lost"], summary["doubled"], summary["grave_located"]) == (0, 0, 0)
     assert summary["settled"] and summary["receipted"] > 0
     with (tmp_path / "seconds.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) > 20 and float(rows[-1]["server_mb"]) > 0
+    assert len(rows) > 5 and float(rows[-1]["server_mb"]) > 0
     assert (tmp_path / "soak.png").stat().st_size > 10_000

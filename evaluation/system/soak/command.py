@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +63,8 @@ def run(options: SoakOptions, out: Path) -> dict[str, Any]:
         scratch = Path(made)
         names = [f"r{k + 1}" for k in range(options.robots)]
         plan = plan_world(names, scratch, moving=True, seed=options.seed)
+        slower = tuple(replace(robot, rate_hz=options.rate_hz) for robot in plan.robots)
+        plan = replace(plan, robots=slower)
         fleet = closing.enter_context(LocalFleet(logs))
         start(fleet, plan, 2, scratch / "state")
         observer = closing.enter_context(observed(fleet))
