@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from fleetpose.evaluation.options.building import of
+from fleetpose.evaluation.options.field import FieldOptions
 from fleetpose.evaluation.options.fleets import (
     FaultOptions,
     FleetOptions,
@@ -81,6 +82,20 @@ def faults(options: FaultOptions, out: Out) -> None:
     from fleetpose.evaluation.system.faults.command import run
 
     run(options.with_usual(), out)
+
+
+@app.command()
+@of(FieldOptions)
+def field(options: FieldOptions, out: Out) -> None:
+    """Run a small fleet from a site's bundles (TLS on both sides, rules that deny by default) and
+    measure what an attack, a broken link or a change of certificates and rules does to it. Each
+    part that is asked for has a site of its own; summary.json has its figures under its name.
+
+    --attacks: how many attacks passed, and the share that the router named by certificate and key.
+    """
+    from fleetpose.evaluation.system.field.command import run
+
+    run(options, out)
 
 
 @app.command(hidden=True)

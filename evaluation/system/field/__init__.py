@@ -1,0 +1,1 @@
+"""`pose-eval field`: a site with certificates and rules, under attack, misfortune and change."""
