@@ -50,6 +50,7 @@ def run(
     require("server" + ",cluster" * bool(loaded.cluster) + ",metrics" * bool(loaded.metrics))
     from fleetpose.pose_server.workers import preload
 
+    preload.use_one_thread()
     if not loaded.cluster:
         preload.start()  # before what takes seconds to import
     from fleetpose.pose_server.app.build import build

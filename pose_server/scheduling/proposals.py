@@ -59,9 +59,11 @@ def to_compare(site: Site, view: ViewName) -> list[ViewName]:
     """
     assert site.solution is not None
     component = set(site.solution.components[site.solution.nodes[view].root])
-    alike = _indexed(site, view)
+    nodes, index, signature = site.solution.nodes, site.view_index, site.views[view].signature
+    index.forget_others(nodes, len(nodes))
+    index.add(view, signature)
     if len(site.robots) > _ALL_COMPARED:
-        nodes = site.solution.nodes
+        alike = index.most_alike(signature)
         apart = (k for k in alike if k in nodes and k not in component and k in site.views)
         return list(islice(apart, MOST_ALIKE))[::-1]  # the last one is compared first
     found = []
@@ -69,16 +71,6 @@ def to_compare(site: Site, view: ViewName) -> list[ViewName]:
         apart = [k for k in robot.track.keyframes if k not in component and k in site.views]
         found += _some(apart, _COMPARED)
     return found
-
-
-def _indexed(site: Site, view: ViewName) -> list[ViewName]:
-    """The keyframes before that look like one, the likest first; it can be found from now on."""
-    assert site.solution is not None
-    index, signature = site.view_index, site.views[view].signature
-    index.forget_others(site.solution.nodes, len(site.solution.nodes))
-    alike = index.most_alike(signature)
-    index.add(view, signature)
-    return alike
 
 
 def expected_overlaps(site: Site, view: ViewName, others: Sequence[ViewName]) -> Floats:
