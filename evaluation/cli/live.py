@@ -92,6 +92,8 @@ def field(options: FieldOptions, out: Out) -> None:
     part that is asked for has a site of its own; summary.json has its figures under its name.
 
     --attacks: how many attacks passed, and the share that the router named by certificate and key.
+    --silent: of ten causes, how many the agent and `pose-deploy check` name. --rotate, --kills: how
+    long receipts of clicks stayed away, and what was lost or doubled.
     """
     from fleetpose.evaluation.system.field.command import run
 

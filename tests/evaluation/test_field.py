@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("cryptography", reason="certificates are made with it")
 
 from fleetpose.evaluation.options.field import FieldOptions
-from fleetpose.evaluation.system.field import command
+from fleetpose.evaluation.system.field import command, silent
 from fleetpose.evaluation.system.field.denials import names
 from fleetpose.protocol.errors import FleetPoseError
 
@@ -38,3 +38,30 @@ def test_no_attack_passes_most_are_named_and_nobody_else_is(tmp_path):
     with (tmp_path / "attacks.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {"put", "delete", "show", "answer", "listen", "ask"} == {row["verb"] for row in rows}
+
+
+@pytest.mark.timeout(200)
+def test_check_names_what_silences_a_robot(tmp_path):
+    told = silent.run(
+        FieldOptions(), tmp_path, tmp_path / "out/logs/silent", ("expired", "other name")
+    )
+    assert told["causes"] == told["agent_tried"] == told["check_named"] == 2
+    assert told["agent_named"] >= 1
+
+
+@pytest.mark.timeout(240)
+def test_kills_of_routers_and_new_rules_lose_no_click_and_who_is_revoked_passes_nothing(tmp_path):
+    summary = command.run(FieldOptions(rotate=True, kills=2), tmp_path)
+    for part in ("rotate", "kills"):
+        assert summary[f"{part}_lost"] == summary[f"{part}_doubled"] == 0
+        assert summary[f"{part}_settled"] and summary[f"{part}_receipted"] > 20
+    assert summary["rotate_revoked_before"] > 0 == summary["rotate_revoked_passed"]
+    assert summary["kills_opened_first_dead_s"] > 0
+
+
+@pytest.mark.timeout(200)
+def test_a_flood_loses_no_click_and_poses_of_others_go_on(tmp_path):
+    summary = command.run(FieldOptions(flood=True), tmp_path)
+    assert summary["flood_lost"] == summary["flood_doubled"] == 0
+    for kind in ("quiet", "odometry", "clouds", "tokens", "queries"):
+        assert 0 < summary[f"flood_{kind}_pose_gap_s"] < 5.0, "in 5 s there was a pose"

@@ -1,5 +1,6 @@
 """What the server says of correspondences: one operator's receipts, and the sets of all pairs."""
 
+import itertools
 import threading
 import time
 
@@ -33,6 +34,12 @@ class Heard:
         """When the first receipt of something new came after a time."""
         with self._lock:
             return next((at_s for at_s in self._receipted_s if at_s > since_s), None)
+
+    def longest_gap_s(self, since_s: float, until_s: float) -> float:
+        """The longest time without a receipt of something new, ends included."""
+        with self._lock:
+            times = [at_s for at_s in self._receipted_s if since_s < at_s < until_s]
+        return max(b - a for a, b in itertools.pairwise((since_s, *times, until_s)))
 
     def heard_all(self, epoch: str) -> bool:
         """Whether all sets that are known are what a server of that epoch told."""

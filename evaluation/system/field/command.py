@@ -38,9 +38,15 @@ def _parts(options: FieldOptions) -> dict[str, Part]:
         raise FleetPoseError(
             "certificates are made with cryptography: pip install 'fleetpose[deploy]'"
         ) from error
-    from fleetpose.evaluation.system.field import attacks
+    from fleetpose.evaluation.system.field import attacks, flood, rotate, routers, silent
 
-    asked: dict[str, tuple[bool, Part]] = {"attacks": (options.attacks, attacks.run)}
+    asked: dict[str, tuple[bool, Part]] = {
+        "attacks": (options.attacks, attacks.run),
+        "silent": (options.silent, silent.run),
+        "rotate": (options.rotate, rotate.run),
+        "kills": (bool(options.kills), routers.run),
+        "flood": (options.flood, flood.run),
+    }
     parts = {name: part for name, (wanted, part) in asked.items() if wanted}
     if not parts:
         raise FleetPoseError("nothing to do: give " + ", ".join(f"--{name}" for name in asked))
