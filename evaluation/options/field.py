@@ -14,5 +14,13 @@ class FieldOptions:
         False,
         "--attacks",
     )
+    silent: bool = told("Break robots' links in ten ways; is the cause named?", False, "--silent")
+    rotate: bool = told(
+        "Renew, revoke, and change the rules while clicks go on.", False, "--rotate"
+    )
+    routers: int = told("Of the site, for --kills.", 2, min=1, max=2)
+    kills: int = told("Kill a router so many times under clicks.", 0, min=0)
+    flood: bool = told("Have a robot send as fast as it can.", False, "--flood")
     robots: int = told("That stand in the synthetic world.", 3, min=3, max=8)
     quiet_s: float = told("Without attacks, to count false alarms.", 60.0, "--quiet", min=1)
+    seed: int = told("Which routers are killed, and when.", 0)
