@@ -2,13 +2,23 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import click
 from pydantic import Field
 from pydantic_settings import SettingsConfigDict
 
-from fleetpose.protocol.settings import Endpoints, Name, ProcessSettings
+from fleetpose.protocol.keys import checked_name
+from fleetpose.protocol.settings import Endpoints, ProcessSettings, checked_text
+
+
+def _checked_sites(text: str) -> str:
+    for name in text.split(","):
+        checked_name(name.strip())
+    return text
+
+
+Sites = Annotated[str, checked_text(_checked_sites)]
 
 
 class ClientSettings(ProcessSettings):
@@ -19,7 +29,7 @@ class ClientSettings(ProcessSettings):
     identified: ClassVar[Mapping[str, str]] = {"site": "site", "name": "operator"}
 
     connect: Endpoints = Field(("tcp/127.0.0.1:7447",), description="endpoints of the router")
-    site: Name = Field("demo", description="name of the site")
+    site: Sites = Field("demo", description="name of the site, or of several: a,b")
     config: Path | None = Field(None, description="zenoh configuration (JSON5), replaces connect")
     operator: str = Field("", description="who you are; empty: the user's name")
     fps: float = Field(10.0, ge=1, le=60, description="looks at the state per second")

@@ -40,7 +40,9 @@ class SettingsRefusedError(FleetPoseError):
     """A setting is missing or impossible; the sentence names it and where it stands."""
 
 
-def _checked(check: Callable[[str], str]) -> AfterValidator:
+def checked_text(check: Callable[[str], str]) -> AfterValidator:
+    """A setting that a function checks: its `FleetPoseError` is what refuses it."""
+
     def validate(text: str) -> str:
         try:
             return check(text)
@@ -57,9 +59,9 @@ def _listed(value: Any) -> Any:
     return json.loads(value) if value.lstrip().startswith("[") else re.split(r"[,\s]+", value)
 
 
-Name = Annotated[str, _checked(checked_name)]
+Name = Annotated[str, checked_text(checked_name)]
 Endpoints = Annotated[
-    tuple[Annotated[str, _checked(checked_endpoint)], ...], NoDecode, BeforeValidator(_listed)
+    tuple[Annotated[str, checked_text(checked_endpoint)], ...], NoDecode, BeforeValidator(_listed)
 ]
 
 

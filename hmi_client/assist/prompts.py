@@ -103,6 +103,21 @@ def located_text(session: OperatorSession) -> str:
     return f"{located} of {len(robots)} robots are located"
 
 
+def site_text(session: OperatorSession) -> str:
+    """How a site is, in a few words, for an operator who looks at another one."""
+    if session.silent:
+        never = math.isinf(session.silence_s)
+        parts = ["no server yet" if never else f"NO SERVER for {session.silence_s:.0f} s"]
+    else:
+        located = sum(pose.located for pose in session.poses().values())
+        parts = [f"{located}/{len(session.robots())} located"]
+        if session.fleet is not None and session.fleet.questions:
+            parts.append("a question waits")
+    if session.unconfirmed:
+        parts.append(f"{session.unconfirmed} not confirmed")
+    return ", ".join(parts)
+
+
 def describe_cell(session: OperatorSession) -> str:
     """The state of the selected pair in a few words."""
     cell = session.cell(session.pair) if session.pair else None

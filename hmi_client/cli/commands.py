@@ -5,7 +5,7 @@ correspondences.
 import json
 import sys
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +14,7 @@ import typer
 from fleetpose.hmi_client.cli import connection as c
 from fleetpose.hmi_client.cli import correspondences, recordings
 from fleetpose.hmi_client.cli.options import Fps, KeysFile, LogFile, SettingsFile, Theme, Threshold
-from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.errors import NoServerError, OperatorError
 from fleetpose.hmi_client.settings import ClientSettings
 from fleetpose.protocol.commands import Version
 from fleetpose.protocol.settings import DumpSettings
@@ -38,7 +38,7 @@ def default(
     keys_file: KeysFile = None,
     log: LogFile = None,
     connect: c.Connect = c.DEFAULT_CONNECT,
-    site: c.Site = c.DEFAULT_SITE,
+    site: c.Sites = c.DEFAULT_SITE,
     config: c.Config = None,
     operator: c.Operator = "",
     settings: SettingsFile = None,
@@ -71,14 +71,14 @@ def screen(
     keys_file: KeysFile = None,
     log: LogFile = None,
     connect: c.Connect = c.DEFAULT_CONNECT,
-    site: c.Site = c.DEFAULT_SITE,
+    site: c.Sites = c.DEFAULT_SITE,
     config: c.Config = None,
     operator: c.Operator = "",
 ) -> None:
-    """Shows map, errors and images; q quits."""
+    """Shows map, errors and images, of one site at a time; q quits, b goes to the next one."""
     from fleetpose.hmi_client.tui.run import run_screen
 
-    where = c.Connection.of(connect, site, config, operator)
+    where = c.Connection.each(connect, site, config, operator)
     run_screen(where, fps, threshold, log, theme, keys_file)
 
 
@@ -124,40 +124,56 @@ def watch(
         bool, typer.Option("--wait/--no-wait", help="for router and server; else exit code 3")
     ] = True,
     connect: c.Connect = c.DEFAULT_CONNECT,
-    site: c.Site = c.DEFAULT_SITE,
+    site: c.Sites = c.DEFAULT_SITE,
     config: c.Config = None,
     operator: c.Operator = "",
 ) -> None:
     """Prints poses, errors of pairs and events as they change."""
-    from fleetpose.hmi_client.cli.reports import Watcher, sentence
+    from fleetpose.hmi_client.cli.reports import watching
 
-    where = c.Connection.of(connect, site, config, operator)
-    with suppress(KeyboardInterrupt), where.server(patient=wait) as session:
-        watcher = Watcher(session)
+    sites = c.Connection.each(connect, site, config, operator)
+    with suppress(KeyboardInterrupt), ExitStack() as opened:
+        if len(sites) == 1:
+            sessions = [opened.enter_context(sites[0].server(patient=wait))]
+        else:
+            sessions = opened.enter_context(c.servers(sites, patient=wait))
         end = None if seconds is None else time.monotonic() + seconds
-        while end is None or time.monotonic() < end:
-            seen = session.revisions()
-            for record in watcher.news():
-                typer.echo(json.dumps(record) if as_json else sentence(record))
-            left = 0.5 if end is None else min(0.5, max(end - time.monotonic(), 0.0))
-            session.wait_change(seen, ("poses", "fleet", "events"), left)
+        for line in watching(
+            {w.site: s for w, s in zip(sites, sessions, strict=True)}, as_json, end
+        ):
+            typer.echo(line)
 
 
 @app.command()
 def status(
     connect: c.Connect = c.DEFAULT_CONNECT,
-    site: c.Site = c.DEFAULT_SITE,
+    site: c.Sites = c.DEFAULT_SITE,
     config: c.Config = None,
     operator: c.Operator = "",
 ) -> None:
     """Prints the server's load, the robots and what is asked; exit code 3 without a server."""
+    sites, absent = c.Connection.each(connect, site, config, operator), []
+    for where in sites:
+        if len(sites) > 1:
+            typer.echo(f"{'' if where is sites[0] else chr(10)}site {where.site}")
+        try:
+            typer.echo(_status_of(where))
+        except NoServerError as error:
+            absent.append(error)
+            if len(sites) > 1:
+                typer.echo(str(error))
+    if absent:
+        raise absent[0]
+
+
+def _status_of(where: c.Connection) -> str:
     from fleetpose.hmi_client.cli.reports import status_text
     from fleetpose.protocol.transport import wait_until
 
-    with c.Connection.of(connect, site, config, operator).server() as session:
+    with where.server() as session:
         session.wait_change({}, ("status",), 2.0)
         wait_until(lambda: set(session.robots()) <= set(session.versions), LATCHED_S, poll_s=0.1)
-        typer.echo(status_text(session))
+        return status_text(session)
 
 
 @app.command()

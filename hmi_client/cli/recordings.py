@@ -34,7 +34,7 @@ def record(
     from fleetpose.hmi_client.tui.run import run_screen
 
     where = c.Connection.of(connect, site, config, operator)
-    run_screen(where, fps, threshold, log, theme, keys, record=file)
+    run_screen((where,), fps, threshold, log, theme, keys, record=file)
 
 
 @app.command()

@@ -1,7 +1,9 @@
 """What the commands print: tables and lines from the session, as text or JSON."""
 
+import json
 import math
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from fleetpose.hmi_client.model.matrix import doubt_text, length_text
@@ -11,6 +13,7 @@ from fleetpose.hmi_client.model.top_view import heading_rad, position, position_
 from fleetpose.protocol.messages import PairCell, RobotPose, ServerStatus
 
 Record = dict[str, Any]
+LOOK_S = 0.5  # all sites are looked at so often, if nothing comes before
 _DOUBTFUL = 5  # pairs that the status names
 _DENIALS = 3  # kinds of denials of one name
 
@@ -124,6 +127,30 @@ class Watcher:
             return []
         text = "nothing heard from the server" if silent else "the server is heard again"
         return [{"type": "event", "text": text}]
+
+
+def watching(
+    sites: Mapping[str, OperatorSession], as_json: bool, end: float | None
+) -> Iterator[str]:
+    """Lines of what is new, as it comes; of several sites each begins with, or holds, its site.
+
+    Args:
+        sites: the sessions by the names of their sites.
+        as_json: lines of JSON.
+        end: when to stop, monotonic seconds; none: never.
+    """
+    watchers = {site: Watcher(session) for site, session in sites.items()}
+    several = len(sites) > 1
+    while end is None or time.monotonic() < end:
+        for site, session in sites.items():
+            seen = session.revisions()
+            for record in watchers[site].news():
+                if as_json:
+                    yield json.dumps({"site": site} | record if several else record)
+                else:
+                    yield f"{site}: {sentence(record)}" if several else sentence(record)
+            left = LOOK_S if end is None else min(LOOK_S, max(end - time.monotonic(), 0.0))
+            session.wait_change(seen, ("poses", "fleet", "events"), left / len(sites))
 
 
 def _inside(status: ServerStatus) -> str:

@@ -1,16 +1,12 @@
-"""The text client: panels around one session. It reads the session at its own rate."""
+"""The text client: the panels of one site or of several. It reads the sessions at its own rate."""
 
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 
 from textual.app import App, ComposeResult
-from textual.containers import Container, Horizontal, Vertical
 from textual.driver import Driver
 from textual.widgets import Footer
 
-from fleetpose.hmi_client.assist.pick_assist import Expected, PickAssist
-from fleetpose.hmi_client.assist.suggestions import Proposal, Suggestions
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.tui import bindings
@@ -21,21 +17,22 @@ from fleetpose.hmi_client.tui.panels.map_panel import MapPanel
 from fleetpose.hmi_client.tui.panels.matrix_panel import MatrixPanel
 from fleetpose.hmi_client.tui.panels.pages import Page, WhyPages, events_text, help_text
 from fleetpose.hmi_client.tui.panels.panel import PanelMixin
+from fleetpose.hmi_client.tui.panels.sites_panel import SitesPanel
 from fleetpose.hmi_client.tui.panels.status_panel import StatusPanel
+from fleetpose.hmi_client.tui.site_view import SiteView
 from fleetpose.hmi_client.tui.stylesheet import CSS
 from fleetpose.hmi_client.tui.terminal.driver import PatientDriver
 
-SLOW_S = 0.5  # numbers that change faster cannot be read
 THRESHOLD_STEP = 1.25
 
 
 class FleetApp(App[None]):
-    """Map, error matrix, images, list and status of one operator's session.
+    """Shows one site of an operator's; all keys and clicks are for the one that is shown.
 
     Args:
-        session: what is shown and commanded.
-        fps: how often the session is looked at.
-        failure: tells a bug of the connection, which ends the app.
+        sites: the operator's session at each site, by its name; the first is shown first.
+        fps: how often the sessions are looked at.
+        failure: tells a bug of a connection, which ends the app.
         keymap: the keys of the commands.
         driver: of the terminal; default: Textual's choice.
     """
@@ -47,7 +44,7 @@ class FleetApp(App[None]):
 
     def __init__(
         self,
-        session: OperatorSession,
+        sites: Mapping[str, OperatorSession],
         fps: float = 10.0,
         failure: Callable[[], Exception | None] = lambda: None,
         driver: type[Driver] | None = None,
@@ -55,40 +52,63 @@ class FleetApp(App[None]):
     ) -> None:
         super().__init__(driver_class=driver)
         self.keymap = keymap
-        self.session = session
         self._period_s = 1.0 / fps
         self._failure = failure
-        self._seen: dict[str, int] = {}
-        self._late: dict[PanelMixin, float] = {}
-        self.guide = PickAssist(session)
-        self.proposals = Suggestions(session, self.guide)
-        self._proposed: Proposal | None = None
-        self._expected: Expected | None = None
-        self.map = MapPanel(session)
-        self.matrix = MatrixPanel(session)
-        self.list = ListPanel(session)
-        self.images = (ImagePanel(session, self.guide, 0), ImagePanel(session, self.guide, 1))
-        self.status = StatusPanel(session, self.proposals, keymap.names())
-        self.panels: tuple[PanelMixin, ...] = (self.map, self.matrix, self.list, *self.images)
+        names = keymap.names()
+        self.views = {name: SiteView(name, session, names) for name, session in sites.items()}
+        self.view = next(iter(self.views.values()))
+        self.sites = SitesPanel(sites, self.view.site, names)
+
+    # ---- what is shown ---------------------------------------------------------------------------
+
+    @property
+    def session(self) -> OperatorSession:
+        """Of the site that is shown."""
+        return self.view.session
+
+    @property
+    def map(self) -> MapPanel:
+        return self.view.map
+
+    @property
+    def matrix(self) -> MatrixPanel:
+        return self.view.matrix
+
+    @property
+    def list(self) -> ListPanel:
+        return self.view.list
+
+    @property
+    def images(self) -> tuple[ImagePanel, ImagePanel]:
+        return self.view.images
+
+    @property
+    def status(self) -> StatusPanel:
+        return self.view.status
+
+    @property
+    def panels(self) -> tuple[PanelMixin, ...]:
+        return self.view.panels
 
     def get_css_variables(self) -> dict[str, str]:
         """Textual's own, and the colours of the theme in use."""
         return super().get_css_variables() | palette.variables()
 
     def compose(self) -> ComposeResult:
-        with Horizontal(id="body"):
-            yield self.map
-            with Vertical(id="middle"):
-                yield self.matrix
-                yield self.list
-            with Container(id="images"):
-                yield from self.images
-        yield self.status
+        if len(self.views) > 1:
+            yield self.sites
+        for view in self.views.values():
+            view.display = view is self.view
+            yield view
         yield Footer(compact=True)
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """There is no other site to go to where there is but one."""
+        return action != "site" or len(self.views) > 1
 
     def on_mount(self) -> None:
         self.set_keymap(dict(self.keymap.changed))
-        self.matrix.focus()
+        self.view.give_keys(self.matrix)
         self.set_interval(self._period_s, self.tick)
 
     def on_resize(self) -> None:
@@ -109,100 +129,46 @@ class FleetApp(App[None]):
             raise failure
         if isinstance(self._driver, PatientDriver) and self._driver.behind:
             return
-        now, revisions = time.monotonic(), self.session.revisions()
-        changed = {topic for topic, n in revisions.items() if n != self._seen.get(topic, 0)}
-        self._seen = revisions
-        self._follow_proposals()
-        if "depths" in changed:
-            self._expect(again=True)
         with self.batch_update():
-            for panel in self.panels:
-                concerned = changed.intersection(panel.TOPICS)
-                if concerned:
-                    wait = SLOW_S if concerned <= set(panel.SLOW) else 0.0
-                    self._late[panel] = min(self._late.get(panel, now + wait), now + wait)
-                if panel in self._late and now >= self._late[panel]:
-                    del self._late[panel]
-                    panel.repaint()
-            self.status.repaint()
+            self.view.follow(time.monotonic())
+            if len(self.views) > 1:
+                self.sites.repaint()
+
+    # ---- sites -----------------------------------------------------------------------------------
+
+    def action_site(self, step: int) -> None:
+        """Shows the next site (-1: the one before)."""
+        names = list(self.views)
+        self.show_site(names[(names.index(self.view.site) + step) % len(names)])
+
+    def on_sites_panel_chosen(self, chosen: SitesPanel.Chosen) -> None:
+        self.show_site(chosen.site)
+
+    def show_site(self, name: str) -> None:
+        """Shows a site as it was left. The keys are its own before the next one is read."""
+        left, self.view = self.view, self.views[name]
+        self.sites.shown = name
+        if left is self.view:
+            return
+        left.last_focus = self.focused or left.last_focus
+        with self.batch_update():
+            left.display, self.view.display = False, True
+            self.view.give_keys(self.view.last_focus)
+            self.view.repaint()
+        self.tick()
 
     # ---- commands --------------------------------------------------------------------------------
 
     def action_question(self, step: int) -> None:
         if self.session.next_question(step):
-            self.images[0].focus()
+            self.view.give_keys(self.images[0])
         else:
             self.notify("The server asks nothing at present.", timeout=3)
         self.tick()
 
-    def on_matrix_panel_chosen(self, chosen: MatrixPanel.Chosen) -> None:
-        if self.matrix.overview:
-            self.action_overview()
-        self.session.select(chosen.a, chosen.b)
-        self.images[0].focus()
-        self.tick()
-
-    def on_image_panel_picked(self, picked: ImagePanel.Picked) -> None:
-        """After the first half the other image is next, the cursor where the point is expected;
-        after the second the first one again.
-        """
-        self.images[0 if picked.complete else 1 - picked.side].focus()
-        self._expect()
-        self.tick()
-
-    def _expect(self, again: bool = False) -> None:
-        """Puts the other image's cursor where the point is expected; `again`, once more is known,
-        only where the operator has not moved it since.
-        """
-        before = self._expected
-        if again and (before is None or self.images[before.side].cursor != before.pixel):
-            return
-        self._expected = expected = self.guide.expected()
-        for panel in self.images:
-            panel.expected = expected
-        if expected is not None:
-            self.images[expected.side].move_to(*expected.pixel)
-            here = self.images[expected.side].cursor  # inside the image, whatever was expected
-            self._expected = replace(expected, pixel=here)
-
-    # ---- suggestions -----------------------------------------------------------------------------
-
-    def on_image_panel_suggestion(self, wanted: ImagePanel.Suggestion) -> None:
-        """Tab accepts the suggestion on the screen, Shift-Tab skips it; the first begins."""
-        try:
-            if self.proposals.current is not None and wanted.step > 0:
-                self.proposals.accept(self.images[0].cursor, self.images[1].cursor)
-            elif self.proposals.current is not None:
-                self.proposals.skip()
-            elif not self.proposals.waiting:
-                self.proposals.begin()
-        except OperatorError as error:
-            self.notify(str(error), severity="warning", timeout=4)
-        self.tick()
-
-    def _follow_proposals(self) -> None:
-        """Shows a suggestion by the cursors, once its pictures are there."""
-        self.proposals.follow()
-        proposal = self.proposals.current
-        if proposal == self._proposed:
-            return
-        self._proposed = proposal
-        if proposal is not None:
-            pixels = (proposal.pixel_i, proposal.pixel_j)
-            for panel, pixel in zip(self.images, pixels, strict=True):
-                panel.repaint()  # the picture may be another one
-                panel.move_to(*pixel)
-
-    def on_list_panel_shown(self, shown: ListPanel.Shown) -> None:
-        """Shows the views that an entry was clicked in, the cursors at its pixels."""
-        pick = shown.entry.pick
-        self.session.hold(pick.view_i, pick.view_j)
-        for panel, pixel in zip(self.images, (pick.pixel_i, pick.pixel_j), strict=True):
-            panel.move_to(*pixel)
-
     def action_panel(self, number: int) -> None:
         """The keys go to a panel: map, matrix, list, or one of the two images."""
-        (self.map, self.matrix, self.list, *self.images)[number - 1].focus()
+        self.view.give_keys(self.panels[number - 1])
 
     # ---- pages -----------------------------------------------------------------------------------
 
@@ -232,7 +198,7 @@ class FleetApp(App[None]):
         self.tick()
 
     def action_cancel(self) -> None:
-        self.proposals.end()
+        self.view.proposals.end()
         self.session.cancel()
         self.tick()
 
@@ -258,14 +224,7 @@ class FleetApp(App[None]):
         self.tick()
 
     def action_overview(self) -> None:
-        """All pairs at once, in colours, in place of the other panels; or these again."""
-        self.matrix.overview = shown = not self.matrix.overview
-        self.query_one("#body").set_class(shown, "overview").remove_class("maximised")
-        self.matrix.focus()
+        self.view.toggle_overview()
 
     def action_maximise(self) -> None:
-        if self.matrix.overview:
-            self.action_overview()
-        self.query_one("#body").toggle_class("maximised")
-        if self.focused in (self.map, self.matrix, self.list):
-            self.images[0].focus()
+        self.view.toggle_maximised()

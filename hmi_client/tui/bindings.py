@@ -39,6 +39,8 @@ EVERYWHERE = [
     _key("m", "maximise", "Max", "maximise", "the images only, or all panels"),
     _key("o", "overview", "Overview", "overview", "all pairs at once, in colours"),
     _key("y", "why", "Why", "why", "why a robot is located, or not, and what to do"),
+    _key("b", "site(1)", "Site", "site", "the next site, of those that --site A,B names"),
+    _key("B", "site(-1)", "Site", "site-before", "the site before", show=False),
     _key("l", "events", "Events", "events", "what happened, the newest first", show=False),
     _key("question_mark", "help", "Help", "help", "this page"),
     _key("q", "quit", "Quit", "quit", "leave; clicks on their way are kept"),

@@ -59,7 +59,7 @@ class ReplayApp(FleetApp):
     def __init__(self, session: PlayedSession, player: Player, fps: float, keymap: KeyMap) -> None:
         self._stop = threading.Event()
         self._failed: Exception | None = None
-        super().__init__(session, fps, lambda: self._failed, PatientDriver, keymap)
+        super().__init__({"recording": session}, fps, lambda: self._failed, PatientDriver, keymap)
         self.player = player
         self.play = PlayPanel(player)
         self._thread = threading.Thread(name="hmi play", target=self._run_player, daemon=True)

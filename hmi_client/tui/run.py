@@ -11,9 +11,11 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr
 from pathlib import Path
 
-from fleetpose.hmi_client.cli.connection import Connection
+from fleetpose.hmi_client.cli.connection import DEFAULT_SITE, Connection
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.network.client import Client
+from fleetpose.hmi_client.network.shared import SharedLink
 from fleetpose.hmi_client.network.update_log import UpdateLog
 from fleetpose.hmi_client.recording.file import Recorder
 from fleetpose.hmi_client.tui.app import FleetApp
@@ -30,7 +32,7 @@ RETRY_TIMEOUT_S = 2.0  # per attempt to reach the router; the screen is there me
 
 
 def run_screen(
-    where: Connection,
+    sites: tuple[Connection, ...],
     fps: float,
     threshold_m: float | None,
     log: Path | None,
@@ -41,13 +43,13 @@ def run_screen(
     """Runs the app until the operator quits; it also starts without a router and waits for one.
 
     Args:
-        where: the fleet and the operator.
+        sites: the fleets of the operator; the first is shown first.
         fps: how often the session is looked at.
         threshold_m: errors above it are hidden; default: a share of the scene's depth.
         log: the log file; default: in the state folder.
         theme: the colours.
         keys: a file of keys; default: that in the user's config folder, if there is one.
-        record: a file that all messages are recorded in.
+        record: a file that all messages of the first site are recorded in.
 
     Raises:
         OperatorError: the log or the recording cannot be written, or the keys are not right.
@@ -57,22 +59,44 @@ def run_screen(
     _spare()
     with ExitStack() as closing:
         closing.enter_context(own_screen(log))
-        kept = own_updates(where)
-        if kept is not None:
-            closing.callback(kept.close)
-        recorder = Recorder(record, where.site, where.operator) if record is not None else None
-        if recorder is not None:
+        recorder = None
+        if record is not None:
+            recorder = Recorder(record, sites[0].site, sites[0].operator)
             closing.callback(recorder.close)
-        session = where.session(threshold_m, kept)
-        # the map is painted twice a second: poses as fast as they come would be opened in vain
-        client = where.client(session, RETRY_TIMEOUT_S, recorder, each_pose=False)
-        closing.callback(client.close)
-        client.start_in_background()
-        app = FleetApp(session, fps, lambda: client.failure, PatientDriver, keymap)
+        shared = SharedLink(lambda: sites[0].open_link(RETRY_TIMEOUT_S))
+        clients = {
+            where.site: _started(where, closing, threshold_m, recorder, shared) for where in sites
+        }
+        app = FleetApp(
+            {site: client.session for site, client in clients.items()},
+            fps,
+            lambda: next((c.failure for c in clients.values() if c.failure), None),
+            PatientDriver,
+            keymap,
+        )
         palette.has(app.console.color_system)
         app.run()
     if recorder is not None:
         print(recorder.report())
+
+
+def _started(
+    where: Connection,
+    closing: ExitStack,
+    threshold_m: float | None,
+    recorder: Recorder | None,
+    shared: SharedLink,
+) -> Client:
+    """The client of a site, which connects as soon as there is a router."""
+    kept = own_updates(where)
+    if kept is not None:
+        closing.callback(kept.close)
+    session = where.session(threshold_m, kept)
+    # the map is painted twice a second: poses as fast as they come would be opened in vain
+    client = where.client(session, RETRY_TIMEOUT_S, recorder, each_pose=False, shared=shared)
+    closing.callback(client.close)
+    client.start_in_background()
+    return client
 
 
 def _spare() -> None:
@@ -134,7 +158,7 @@ def take_screenshot(
 async def _draw(
     session: OperatorSession, size: tuple[int, int], timeout_s: float, maximise: bool
 ) -> tuple[str, bool]:
-    app = FleetApp(session)
+    app = FleetApp({DEFAULT_SITE: session})
     end = time.monotonic() + timeout_s
     async with app.run_test(size=size) as pilot:
         await pilot.pause(0.1)

@@ -2,6 +2,8 @@
 
 CSS = """
 Screen { background: $fp-back; color: $fp-text; }
+SiteView { height: 1fr; }
+#sites { height: 1; }
 #body { height: 1fr; }
 #map, #matrix, #list, .image {
     background: $fp-back;

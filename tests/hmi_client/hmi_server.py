@@ -53,6 +53,7 @@ class FakeServer:
         robots_forget: robots answer that they no longer keep a view.
         lose: this many receipts are lost on their way.
         camera: announced by each robot; none is not announced.
+        site: of all its keys.
     """
 
     def __init__(
@@ -69,6 +70,7 @@ class FakeServer:
         robots_forget: bool = False,
         lose: int = 0,
         camera: Camera | None = CAMERA,
+        site: str = "demo",
     ) -> None:
         self.count, self.pictures, self.live, self.mute = count, pictures, live, mute
         self.epoch, self.journal = epoch, journal or Journal()
@@ -78,7 +80,7 @@ class FakeServer:
         self._publishers: dict[tuple[str, str], object] = {}
         self._seq = 7
         self._stop = threading.Event()
-        self.keys = Keys("demo")
+        self.keys = Keys(site)
         self.link = Link(open_session(SessionSettings(connect=(endpoint,))))
         self.link.token(self.keys.server_alive(epoch))
         self._inbox: list[Sample] = []

@@ -25,7 +25,7 @@ class Clock:
 
 @asynccontextmanager
 async def screen(session, size=(160, 50)):
-    app = FleetApp(session)
+    app = FleetApp({"demo": session})
     async with app.run_test(size=size) as pilot:
         app.tick()
         await pilot.pause()

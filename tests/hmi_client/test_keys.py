@@ -23,7 +23,7 @@ def keymap(tmp_path, toml: str) -> KeyMap:
 
 async def test_changed_keys_work_and_are_named_where_keys_are_named(session, tmp_path):
     changed = keymap(tmp_path, 'next = "f5"\npick = ["j", "enter"]\ncancel = "ctrl+k"\n')
-    app = FleetApp(session, keymap=changed)
+    app = FleetApp({"demo": session}, keymap=changed)
     async with app.run_test(size=(160, 50)) as pilot:
         app.tick()
         assert "Press f5 for the best question" in text(app.status)

@@ -7,7 +7,9 @@ from typer.testing import CliRunner
 
 from fleetpose.hmi_client.cli import commands
 from fleetpose.hmi_client.cli import connection as c
+from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.tui import run as run_module
+from fleetpose.protocol.errors import EndpointError, NameRefusedError
 
 DESK = "tcp/10.0.0.1:7447"
 
@@ -19,8 +21,17 @@ def asked(monkeypatch):
     """
     met = {}
 
-    def screen(where, fps, threshold, log, theme, keys):
-        met.update(where=where, fps=fps, threshold=threshold, log=log, theme=theme, keys=keys)
+    def screen(sites, fps, threshold, log, theme, keys):
+        where, *others = sites
+        met.update(
+            where=where,
+            others=others,
+            fps=fps,
+            threshold=threshold,
+            log=log,
+            theme=theme,
+            keys=keys,
+        )
 
     def server(where, patient=False):
         met["where"] = where
@@ -49,6 +60,29 @@ def test_the_documents_line_for_the_operators_desk_opens_the_screen(asked):
     assert f"hmi-client --connect {DESK}" in Path("docs/start.md").read_text()
     met = asked("--connect", DESK)
     assert met["where"].connect == (DESK,) and met["fps"] == 10.0
+
+
+def test_several_sites_are_one_operators_of_one_router(asked, tmp_path):
+    met = asked("--connect", DESK, "--site", "hall,yard, hall", "--operator", "anna")
+    assert [met["where"].site, *(one.site for one in met["others"])] == ["hall", "yard"]
+    assert all((one.connect, one.operator) == ((DESK,), "anna") for one in met["others"])
+    with pytest.raises(NameRefusedError):
+        c.Connection.each([DESK], "hall,", None, "anna")
+
+
+def test_a_command_for_one_site_says_so_where_several_are_named():
+    with pytest.raises(OperatorError, match="works at one site, name one of them"):
+        c.Connection.of([DESK], c.Given("hall,yard"), None, "anna")
+
+
+def test_a_configuration_for_one_site_serves_no_other_one(tmp_path):
+    config = tmp_path / "anna.json5"
+    config.write_text(
+        '{mode: "client", metadata: {fleetpose: {site: "hall", role: "operator", name: "anna"}}}'
+    )
+    assert [one.site for one in c.Connection.each([DESK], "demo", config, "")] == ["hall"]
+    with pytest.raises(EndpointError, match=r"--site yard: .*operator 'anna' of site 'hall'"):
+        c.Connection.each([DESK], c.Given("hall,yard"), config, "")
 
 
 def test_without_options_it_is_the_screen_of_this_machine(asked):

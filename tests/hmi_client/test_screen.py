@@ -199,7 +199,7 @@ async def test_what_has_not_changed_is_not_painted(session):
 
 @pytest.mark.parametrize("key", ["q", "ctrl+c"])
 async def test_it_ends_by_key(session, key):
-    app = FleetApp(session)
+    app = FleetApp({"demo": session})
     async with app.run_test() as pilot:
         await pilot.press(key)
         await pilot.pause()
@@ -216,7 +216,7 @@ async def test_72_robots_can_be_walked_through(clock):
 
 
 async def test_a_bug_of_the_connection_ends_the_app(session):
-    app = FleetApp(session, failure=lambda: ZeroDivisionError("a bug"))
+    app = FleetApp({"demo": session}, failure=lambda: ZeroDivisionError("a bug"))
     with pytest.raises(ZeroDivisionError):
         async with app.run_test() as pilot:
             await pilot.pause(0.5)
