@@ -247,9 +247,8 @@ def _click_job(site: Site) -> Job | None:
     """The next pair whose correspondences changed. Somebody waits: features are not asked, but
     what they said of its views counts where it is known.
     """
-    for (a, b), record in site.pairs.items():
-        if not record.is_due("clicks"):
-            continue
+    for a, b in list(site.agenda.clicks):
+        record = site.pairs[a, b]
         record.make_due("nothing")
         job = _with_clicks(site, a, b)
         if job is None:
@@ -263,12 +262,12 @@ def _click_job(site: Site) -> Job | None:
 
 def _search_job(site: Site) -> Job | None:
     """The next pair whose clicks found nothing sure quickly: features are asked beside them."""
-    for (a, b), record in site.pairs.items():
-        if record.is_due("search"):
-            record.make_due("nothing")
-            if (job := _with_clicks(site, a, b)) is not None:
-                record.start()
-                return job
+    for a, b in list(site.agenda.search):
+        record = site.pairs[a, b]
+        record.make_due("nothing")
+        if (job := _with_clicks(site, a, b)) is not None:
+            record.start()
+            return job
     return None
 
 

@@ -113,11 +113,10 @@ def _cpu_s() -> float:
 
 
 def _waiting(site: Site) -> dict[str, int]:
-    robots, pairs = site.robots.values(), site.pairs.values()
     return {
         **{line: len(turns) for line, turns in site.pair_queue.lines.items()},
-        "clicks": sum(record.clicks_due for record in pairs),
-        "search": sum(record.status.due == "search" for record in pairs),
+        "clicks": len(site.agenda.clicks),
+        "search": len(site.agenda.search),
         "compare": len(site.pair_queue.to_compare),
-        "follow": sum(robot.waiting is not None for robot in robots),
+        "follow": sum(robot.waiting is not None for robot in site.robots.values()),
     }

@@ -21,7 +21,7 @@ def repetition(site: Site) -> float:
     too, or whose pose others refuted; 0 where these are exceptions.
     """
     twofold = verified = 0
-    for record in site.pairs.values():
+    for record in (site.pairs[pair] for pair in site.agenda.tried):
         if record.last is None:
             continue
         if record.last.twofold or record.refuted:

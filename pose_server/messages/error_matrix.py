@@ -28,7 +28,7 @@ def pair_cells(site: Site, now_s: float, known: CellCache) -> tuple[PairCell, ..
         for name, robot in site.robots.items()
         if robot.track.newest is not None or name in clicked
     }
-    tried = {pair for pair, record in site.pairs.items() if record.last is not None}
+    tried = set(site.agenda.tried)
     cells = (
         _cell(site, (a, b), clicks.get((a, b), 0), roots, now_s, known)
         for a, b in sorted(tried | clicks.keys())

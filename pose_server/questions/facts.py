@@ -39,7 +39,11 @@ def questions(site: Site, now_s: float = float("inf")) -> tuple[Question, ...]:
         site.anchor,
         sum(site.feedback.in_vain.values()),
         tuple(newest.values()),
-        tuple(pair for pair in site.pairs if _is_up_to_the_operator(site, *pair)),
+        tuple(
+            pair
+            for pair in (*site.agenda.tried, *sorted(site.skip & site.pairs.keys()))
+            if _is_up_to_the_operator(site, *pair)
+        ),
     )
     numbers = site.solution, site.counts.get("alignments", 0), len(site.correspondences.all())
     asked = site.feedback.asked

@@ -108,14 +108,13 @@ def try_again(site: Site, robot: Robot, now_s: float) -> None:
 def pick(site: Site, now_s: float) -> tuple[RobotPair, ViewPair] | None:
     """The pair whose turn it is, and its most promising keyframes, which are taken off the list."""
     queue = site.pair_queue
-    running = [pair for pair, record in site.pairs.items() if record.running]
     for line, turns in queue.lines.items():
         if len(turns):
             queue.kinds.put(line, SHARES[line], 0.0)
         else:
             queue.kinds.remove(line)
     while (kind := queue.kinds.pick(0.0)) is not None:
-        chosen = queue.lines[kind.key].pick(now_s, running)
+        chosen = queue.lines[kind.key].pick(now_s, site.agenda.running)
         if chosen is None:
             queue.kinds.remove(kind.key)  # all of its pairs are at work
             continue

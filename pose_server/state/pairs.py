@@ -7,6 +7,7 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.protocol.keys import RobotPair
 from fleetpose.protocol.messages import ViewName
 
 ViewPair = tuple[ViewName, ViewName]
@@ -30,10 +31,37 @@ class PairStatus:
 
 
 @dataclass
+class Agenda:
+    """Which pairs are at work, due and tried: of a large fleet's 100 000 pairs few are, and they
+    are asked for at every turn.
+
+    Attributes:
+        running: a worker aligns them.
+        clicks, search: due for that and not at work, in the order in which they became so.
+        tried: that were aligned at least once.
+    """
+
+    running: set[RobotPair] = field(default_factory=set)
+    clicks: dict[RobotPair, None] = field(default_factory=dict)
+    search: dict[RobotPair, None] = field(default_factory=dict)
+    tried: dict[RobotPair, None] = field(default_factory=dict)
+
+    def note(self, pair: RobotPair, status: PairStatus) -> None:
+        """What a pair is at now."""
+        (self.running.add if status.running else self.running.discard)(pair)
+        for due, pairs in (("clicks", self.clicks), ("search", self.search)):
+            if status.due == due and not status.running:
+                pairs.setdefault(pair)
+            else:
+                pairs.pop(pair, None)
+
+
+@dataclass
 class PairRecord:
     """What was done between two robots (or between segments of one).
 
     Attributes:
+        pair, agenda: where it notes what it is at; none of a record that stands alone.
         status: whether it is at work, and what is due.
         untried: what the most promising keyframe pairs promise that were not aligned yet, 0 to 1.
         tried: keyframe pairs aligned, and by which kinds of starts.
@@ -51,6 +79,8 @@ class PairRecord:
         best: by verdict, then inliers: what the pair queue and the questions go by.
     """
 
+    pair: RobotPair | None = None
+    agenda: Agenda | None = field(default=None, repr=False)
     status: PairStatus = PairStatus()
     untried: dict[ViewPair, float] = field(default_factory=dict)
     tried: dict[ViewPair, set[str]] = field(default_factory=dict)
@@ -80,21 +110,18 @@ class PairRecord:
         """Whether its clicks changed and were not aligned since."""
         return self.status.due == "clicks"
 
-    def is_due(self, due: Due) -> bool:
-        """Whether that is the next to be done with it, and nothing is being done."""
-        return not self.running and self.status.due == due
-
     def make_due(self, due: Due) -> None:
         """What is to be done next; nothing comes before changed clicks."""
-        self.status = PairStatus(self.running, due)
+        self._turn_to(PairStatus(self.running, due))
 
     def start(self) -> None:
         """A worker begins to align it."""
-        self.status = PairStatus(True, self.status.due)
+        self._turn_to(PairStatus(True, self.status.due))
 
     def stop(self, result: PairResult, views: ViewPair, now_s: float) -> None:
         """A worker has ended, with a result or a failure."""
-        self.status = PairStatus(False, self.status.due)
+        self._turn_to(PairStatus(False, self.status.due))
+        self._note_tried()
         self.alignments += 1
         self.last, self.last_views, self.last_s = result, views, now_s
         self.refuted = False
@@ -115,6 +142,7 @@ class PairRecord:
     def note_tried(self, views: ViewPair, kind: str) -> None:
         """Two keyframes were aligned, by that kind of starts."""
         self.tried.setdefault(views, set()).add(kind)
+        self._note_tried()
 
     def propose(self, views: ViewPair, promise: float) -> None:
         """Two keyframes may be worth aligning; the most promising few wait."""
@@ -158,6 +186,15 @@ class PairRecord:
         self.untried = _without(view, self.untried)
         self.tried = _without(view, self.tried)
         self.searched = _without(view, self.searched)
+
+    def _turn_to(self, status: PairStatus) -> None:
+        self.status = status
+        if self.agenda is not None and self.pair is not None:
+            self.agenda.note(self.pair, status)
+
+    def _note_tried(self) -> None:
+        if self.agenda is not None and self.pair is not None:
+            self.agenda.tried.setdefault(self.pair)
 
 
 def _worth(result: PairResult) -> tuple[int, int]:

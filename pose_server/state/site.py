@@ -28,7 +28,7 @@ from fleetpose.pose_server.state.doubts import Doubts
 from fleetpose.pose_server.state.odometry import Odometers
 from fleetpose.pose_server.state.origins import Anchoring
 from fleetpose.pose_server.state.pair_queue import PairQueue
-from fleetpose.pose_server.state.pairs import PairRecord, ViewPair
+from fleetpose.pose_server.state.pairs import Agenda, PairRecord, ViewPair
 from fleetpose.pose_server.state.question_feedback import QuestionFeedback
 from fleetpose.pose_server.state.robots import Robot
 from fleetpose.pose_server.state.views import KeptView, ViewStore, likeness, same_camera
@@ -68,6 +68,7 @@ class Site:
         located_grave: largest probability that a located robot is gravely off.
         recipe, icp: how pairs are aligned, and their clouds brought together.
         pins: by operator and session.
+        agenda: which pairs are at work, due and aligned.
         pair_queue: which pairs wait to be aligned.
         weights: what makes them wait for less.
         kinds: of work of which each has its share.
@@ -99,6 +100,7 @@ class Site:
     views: ViewStore = field(default_factory=ViewStore)
     robots: dict[str, Robot] = field(default_factory=dict)
     pairs: dict[RobotPair, PairRecord] = field(default_factory=dict)
+    agenda: Agenda = field(default_factory=Agenda)
     edges: dict[EdgeKey, Edge] = field(default_factory=dict)
     pins: dict[tuple[str, str], Pin] = field(default_factory=dict)
     held_back: dict[str, KeptView] = field(default_factory=dict)
@@ -173,7 +175,7 @@ class Site:
         pair = ordered_pair(a, b)
         record = self.pairs.get(pair)
         if record is None:
-            record = self.pairs[pair] = PairRecord()
+            record = self.pairs[pair] = PairRecord(pair, self.agenda)
             if a != b:
                 self.partners[a].append(b)
                 self.partners[b].append(a)

@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.geometry.se3 import inverse
 from fleetpose.pose_server.pose_graph.types import Edge
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.scheduling import pair_queue, proposals
 from fleetpose.pose_server.scheduling.pair_queue import note_promise, pick
 from fleetpose.pose_server.scheduling.proposals import (
@@ -15,6 +18,7 @@ from fleetpose.pose_server.scheduling.proposals import (
     expected_overlaps,
     to_compare,
 )
+from fleetpose.pose_server.state.pairs import Agenda, PairStatus
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.state.views import open_view
 from fleetpose.protocol.codec import pack
@@ -146,3 +150,33 @@ def test_an_empty_site_has_nothing_to_pick():
     site = Site(correspondences=CorrespondenceStore(Forgetful()))
     pair_queue.update_priorities(site, 0.0)
     assert pick(site, 0.0) is None and not pair_queue.compare_some(site, 0.0)
+
+
+FAILED = PairResult(None, None, "rejected", ())
+ACTS = {
+    "clicks": lambda record: record.make_due("clicks"),
+    "search": lambda record: record.make_due("search"),
+    "nothing": lambda record: record.make_due("nothing"),
+    "start": lambda record: record.start(),
+    "stop": lambda record: record.stop(FAILED, (named(0, "r1"), named(0, "r2")), 0.0),
+}
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.sampled_from(sorted(ACTS))), max_size=30))
+def test_the_agenda_holds_the_pairs_that_a_look_at_all_would_find(acts):
+    site = Site(correspondences=CorrespondenceStore(Forgetful()))
+    for k, act in acts:
+        ACTS[act](site.pair("r1", f"s{k}"))
+    at = {pair: record.status for pair, record in site.pairs.items()}
+    agenda = site.agenda
+    assert agenda.running == {pair for pair, status in at.items() if status.running}
+    for due, pairs in (("clicks", agenda.clicks), ("search", agenda.search)):
+        assert set(pairs) == {p for p, s in at.items() if s.due == due and not s.running}
+    assert set(agenda.tried) == {p for p, r in site.pairs.items() if r.last is not None}
+
+
+def test_of_changed_clicks_the_first_are_aligned_first():
+    agenda, idle = Agenda(), PairStatus(due="clicks")
+    for pair in (("r2", "r3"), ("r1", "r2"), ("r2", "r3")):
+        agenda.note(pair, idle)
+    assert list(agenda.clicks) == [("r2", "r3"), ("r1", "r2")]

@@ -32,7 +32,7 @@ def place(*results: PairResult) -> Site:
     site = Site(correspondences=CorrespondenceStore(Forgetful()))
     for k, result in enumerate(results):
         a, b = f"a{k}", f"b{k}"
-        site.pair(a, b).last = result
+        site.pair(a, b).stop(result, (view(a), view(b)), 0.0)
         if result.verdict == "verified":
             edge = Edge(
                 view(a),
@@ -95,6 +95,7 @@ def test_a_pair_that_joins_nothing_has_the_fleet_solved_anew_if_it_makes_the_pla
     note_repetition(site)
     assert not site.dirty
     for k in (7, 8):
-        site.pair(f"a{k}", f"b{k}").last = TWOFOLD
+        a, b = f"a{k}", f"b{k}"
+        site.pair(a, b).stop(TWOFOLD, (view(a), view(b)), 0.0)
     note_repetition(site)
     assert site.dirty and verdicts(site) == ["plausible"] * 2
