@@ -6,7 +6,6 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from importlib.metadata import version
 
 from fleetpose.protocol.codec import encoding_of, unpack
 from fleetpose.protocol.drops import Drops
@@ -14,6 +13,7 @@ from fleetpose.protocol.errors import CodecError, FleetPoseError
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import Heard, View
 from fleetpose.protocol.presence import LiveServer
+from fleetpose.protocol.text import release
 from fleetpose.protocol.transport import Sample
 
 log = logging.getLogger(__name__)
@@ -78,7 +78,7 @@ class Hearing:
 
     def _tell_versions(self, heard: Heard) -> None:
         """Once for each server: that it runs another version, and whether it reads this one's."""
-        mine = version("fleetpose")
+        mine = release()
         if unread := unread_by(heard):
             log.warning("%s", unread)
         elif heard.version != mine:
@@ -92,7 +92,7 @@ def unread_by(heard: Heard) -> str:
         return ""
     return (
         f"the server (fleetpose {heard.version}) does not read {sends}, which this robot "
-        f"(fleetpose {version('fleetpose')}) sends: bring both to one version"
+        f"(fleetpose {release()}) sends: bring both to one version"
     )
 
 

@@ -10,7 +10,6 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import version
 
 from fleetpose.protocol.codec import encoding_of, pack
 from fleetpose.protocol.errors import FleetPoseError
@@ -23,6 +22,7 @@ from fleetpose.protocol.messages import (
     View,
     ViewName,
 )
+from fleetpose.protocol.text import release
 from fleetpose.protocol.transport import ENCODING_JPEG, Link
 from fleetpose.robot_agent.cameras.base import Frame
 from fleetpose.robot_agent.features.keypoints import salient_of
@@ -104,7 +104,7 @@ class Sender:
             camera=camera,
             rate_hz=self._settings.rate_hz,
             capabilities=CAPABILITIES,
-            version=version("fleetpose"),
+            version=release(),
         )
         self._announcement.put(pack(announcement), encoding_of(CameraAnnouncement))
 

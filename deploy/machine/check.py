@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from enum import IntEnum
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 
 from fleetpose.deploy.errors import BundleError
@@ -24,6 +23,7 @@ from fleetpose.deploy.machine.installed import Installed, installed_in
 from fleetpose.deploy.machine.tls import Probed, probe
 from fleetpose.deploy.manifest import CA, CERTIFICATE, CONFIGURATION, KEY, RouterAddress
 from fleetpose.deploy.private_files import readable_by_others
+from fleetpose.protocol.text import release
 
 SOON_DAYS = 14.0
 FILES = (CA, CERTIFICATE, KEY, CONFIGURATION)
@@ -185,7 +185,7 @@ def _of_settings(path: Path, installed: Installed) -> tuple[str, str]:
 
 
 def _version(installed: Installed) -> Step:
-    here, made = version("fleetpose"), installed.manifest.fleetpose
+    here, made = release(), installed.manifest.fleetpose
     if here.split(".")[:2] != made.split(".")[:2]:
         return soon(
             "version",
