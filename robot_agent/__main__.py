@@ -18,7 +18,11 @@ app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_
 
 Calibration = Annotated[
     Path | None,
-    typer.Option(help="Stereo: stereo.json, OpenCV yml/xml, Kalibr yaml. [default: beside images]"),
+    typer.Option(help="Stereo: of OpenCV, Kalibr, ROS, ORB-SLAM ... [default: beside images]"),
+]
+Unit = Annotated[
+    float | None,
+    typer.Option(help="Metres that one of the calibration's translation is. [default: 1]"),
 ]
 Size = Annotated[
     str | None, typer.Option(help="Devices: WIDTHxHEIGHT, both eyes where side by side.")
@@ -73,6 +77,7 @@ def run(
 def calibrate_check(
     data: Annotated[str, typer.Option(help="Folder, video, or device; or left,right.")],
     calibration: Calibration = None,
+    translation_unit: Unit = None,
     size: Size = None,
     fps: Fps = None,
     fourcc: Fourcc = None,
@@ -102,7 +107,8 @@ def calibrate_check(
     log_to_stderr(logging.WARNING)
     video = video_settings(size, fps, fourcc, 10.0 if max_skew_ms is None else max_skew_ms)
     options = CheckOptions(
-        data, calibration, video, pairs, interval, length, board, points, save, as_json
+        *(data, calibration, video, pairs, interval, length, board, points, save, as_json),
+        translation_unit,
     )
     raise typer.Exit(run(options))
 

@@ -46,6 +46,8 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
         calibration=settings.calibration,
         video=video_settings(settings.size, settings.fps, settings.fourcc, settings.max_skew_ms),
         stop=stop,
+        translation_unit=settings.translation_unit,
+        depth_scale=settings.depth_scale,
     )
     try:
         systemd.ready()

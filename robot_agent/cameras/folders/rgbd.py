@@ -22,17 +22,24 @@ from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, NoiseModel
 from fleetpose.protocol.messages import Camera as CameraModel
 from fleetpose.robot_agent.cameras.base import DepthImage, Frame
 from fleetpose.robot_agent.cameras.folders.files import (
+    NO_DEPTH,
     model_of,
     noise_of,
     read_colour,
     read_depth,
     read_json,
+    read_numbers,
+    read_raw_depth,
 )
 from fleetpose.robot_agent.cameras.replay import replay_order
 
 log = logging.getLogger(__name__)
 
 FURTHEST_M = 6.0  # beyond, a Kinect's depth is noise
+NEAREST_M = 0.3  # before, structured light, time of flight and stereo chips give none
+_SHARE = 5.0  # percent of the pixels that may be nearer, or further, all the same
+_LOOKED_AT = 8  # depth images of a recording
+TUM_STEPS_PER_M = 5000.0
 KINECT_NOISE = NoiseModel(pixel_sigma_px=0.7, depth_sigma_m=(0.0008, 0.0, 0.0016))
 """A Kinect's axial noise 0.0012 + 0.0019 (z - 0.4)^2 (Nguyen, Izadi and Lovell, 3DIMPVT 2012).
 
@@ -97,8 +104,14 @@ class RgbdRecording:
         )
 
 
-def open_camera(source: str, replay: str) -> RgbdRecording:
+def open_camera(source: str, replay: str, depth_scale: float | None = None) -> RgbdRecording:
     """Opens a 7-Scenes or TUM RGB-D folder.
+
+    Args:
+        source: the folder.
+        replay: `once`, `loop`, `pingpong` or `hold`.
+        depth_scale: steps of its depth images per metre; None: what the layout says, where that
+            makes depths that such a camera can have.
 
     Raises:
         DataFolderError: the folder holds no frames of either layout.
@@ -106,7 +119,12 @@ def open_camera(source: str, replay: str) -> RgbdRecording:
     """
     folder = Path(source)
     if (folder / "depth.txt").is_file():
-        shots, K, noise, steps_per_m = _tum_shots(folder), _tum_K(folder), KINECT_NOISE, 5000.0
+        shots, K, noise, steps_per_m = (
+            _tum_shots(folder),
+            _tum_K(folder),
+            KINECT_NOISE,
+            TUM_STEPS_PER_M,
+        )
     else:
         shots, steps_per_m = _seven_scenes_shots(folder), 1000.0
         K, noise = _seven_scenes_calibration(folder)
@@ -115,7 +133,28 @@ def open_camera(source: str, replay: str) -> RgbdRecording:
             f"{folder} holds no RGB-D frames: neither frame-*.depth.png with colour, "
             "nor rgb.txt and depth.txt"
         )
-    return RgbdRecording(shots, K, noise, steps_per_m, replay)
+    if depth_scale is None:
+        _check_depths([shot.depth for shot in shots], steps_per_m)
+    return RgbdRecording(shots, K, noise, depth_scale or steps_per_m, replay)
+
+
+def _check_depths(paths: list[Path], steps_per_m: float) -> None:
+    """Layouts do not say their unit: one that cannot be shows in depths that no camera has."""
+    path = paths[0]
+    looked_at = [read_raw_depth(one) for one in paths[:: -(-len(paths) // _LOOKED_AT)]]
+    raw = np.concatenate([one.reshape(-1) for one in looked_at])
+    depth = raw[(raw > 0) & (raw < NO_DEPTH)] / steps_per_m
+    if not depth.size:
+        return
+    near, middle, far = np.percentile(depth, (_SHARE, 50, 100 - _SHARE))
+    in_fifths = steps_per_m == TUM_STEPS_PER_M and far < FURTHEST_M / (TUM_STEPS_PER_M / 1000)
+    if near >= NEAREST_M and middle <= FURTHEST_M and not in_fifths:
+        return
+    raise DataFolderError(
+        f"{path} would show {near:.2g} to {far:.2g} m at {steps_per_m:g} steps per metre, as its "
+        "layout has it, and no such camera does: give --depth-scale STEPS, 1000 if its depths are "
+        f"in millimetres, {steps_per_m:g} if they are right"
+    )
 
 
 def _seven_scenes_shots(folder: Path) -> list[Shot]:
@@ -170,12 +209,14 @@ def _intrinsics_file(folder: Path) -> npt.NDArray[np.float64] | None:
     path = folder / "camera-intrinsics.txt"
     if not path.is_file():
         return None
-    try:
-        K = np.loadtxt(path)
-    except (OSError, ValueError) as error:
-        raise CalibrationError(f"{path} is no 3x3 matrix of numbers: {error}") from error
+    K = read_numbers(path)
     if K.shape != (3, 3):
         raise CalibrationError(f"{path} holds numbers of shape {K.shape}, need 3x3")
+    if K[0, 0] < 0 or K[1, 1] < 0:
+        raise CalibrationError(
+            f"{path}: fx is {K[0, 0]:g}, fy {K[1, 1]:g}: a focal length below 0 (ICL-NUIM's way of "
+            "turning an axis round) is none: write it without the minus"
+        )
     return K
 
 
@@ -189,13 +230,39 @@ def _tum_shots(folder: Path) -> list[Shot]:
         near = min(colours[max(k - 1, 0) : k + 1], key=lambda c: abs(c[0] - stamp_s), default=None)
         if near is not None and abs(near[0] - stamp_s) <= TUM_MAX_DIFFERENCE_S:
             shots.append(Shot(near[1], depth))
+    if not shots and colours and depths:
+        apart_s = min(abs(c[0] - d[0]) for c in colours[:50] for d in depths[:50])
+        raise DataFolderError(
+            f"{folder}: no image of rgb.txt was taken within {1e3 * TUM_MAX_DIFFERENCE_S:g} ms of "
+            f"one of depth.txt; the nearest are {1e3 * apart_s:.0f} ms apart: bring both lists to "
+            "one clock"
+        )
     return shots
 
 
 def _tum_list(path: Path) -> list[tuple[float, Path]]:
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        rows = [line.split() for line in lines if line.strip() and not line.startswith("#")]
-        return sorted((float(stamp_s), path.parent / name) for stamp_s, name in rows)
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
-        raise DataFolderError(f"{path} is no list of times and files: {error}") from error
+        raise DataFolderError(f"{path} cannot be read: {error}") from error
+    rows = []
+    for number, line in enumerate(lines, 1):
+        words = line.partition("#")[0].replace(",", " ").split()
+        if not words:
+            continue
+        try:
+            rows.append((_seconds(words[0]), path.parent / words[1]))
+        except (ValueError, IndexError) as error:
+            raise DataFolderError(
+                f"{path}, line {number}: '{line.strip()[:60]}' is no time with a file"
+            ) from error
+    return sorted(rows)
+
+
+def _seconds(stamp: str) -> float:
+    """A time as s; without a decimal point and longer than any since 1970, it is ns, us or ms."""
+    value = float(stamp)
+    digits = len(stamp.lstrip("+-"))
+    if not stamp.isdigit() or digits <= 10:
+        return value
+    return value * 10.0 ** -(digits - 10)
