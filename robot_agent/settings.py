@@ -37,7 +37,7 @@ class RobotSettings(ProcessSettings):
         description="rgbd, views, reconstruction, cloud, stereo or synthetic"
     )
     data: str = Field("", description="folder, video, device (or left,right), or endpoint")
-    calibration: Path | None = Field(None, description="stereo: file; else beside the images")
+    calibration: Path | None = Field(None, description="stereo, rgbd: file; else beside the images")
     translation_unit: float | None = Field(
         None,
         gt=0,

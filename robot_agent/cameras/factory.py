@@ -13,7 +13,7 @@ from fleetpose.robot_agent.cameras.base import Camera
 from fleetpose.robot_agent.cameras.kinds import CameraKind
 
 _MODULES: dict[CameraKind, str] = {
-    "rgbd": "folders.rgbd",
+    "rgbd": "rgbd.recording",
     "views": "folders.views",
     "reconstruction": "folders.reconstruction",
     "bundler": "folders.reconstruction",
@@ -26,7 +26,7 @@ _OPTIONS = {
     "reconstruction": ("view", "metres_per_unit"),
     "cloud": ("axes", "metres_per_unit"),
     "stereo": ("calibration", "video", "stop", "translation_unit"),
-    "rgbd": ("depth_scale",),
+    "rgbd": ("calibration", "depth_scale"),
 }
 
 
@@ -55,7 +55,7 @@ def open_camera(
         view: posed views and reconstructions, the one view to take.
         metres_per_unit: reconstructions, whose scale is arbitrary, and clouds.
         axes: clouds only, `robot` or `optical`.
-        calibration: stereo only, its file.
+        calibration: stereo and rgbd, its file.
         video: stereo only, `robot_agent.cameras.stereo.video.VideoSettings`.
         stop: stereo only, ends the waiting for a device.
         translation_unit: stereo only, metres that one of the calibration's translation is.

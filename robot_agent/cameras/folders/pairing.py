@@ -22,7 +22,10 @@ _LAYOUTS = (
     ("image_02/data", "image_03/data"),
     ("image_left", "image_right"),
 )
-_EYE = re.compile(r"left|right|(?:^|(?<=[^a-z]))[lr](?=[^a-z]|$)|cam(?:era)?[01]", re.IGNORECASE)
+_KIND = re.compile(
+    r"left|right|colou?r|rgb|depth|image|(?:^|(?<=[^a-z]))[lr](?=[^a-z]|$)|cam(?:era)?[01]",
+    re.IGNORECASE,
+)
 _STAMP_DIGITS = 13  # of the ms since 1970; ns have 19
 
 
@@ -52,25 +55,29 @@ def list_images(folder: Path) -> list[Path]:
 
 
 def paired(
-    left: Sequence[Path], right: Sequence[Path], max_skew_ms: float = MAX_SKEW_MS
+    left: Sequence[Path],
+    right: Sequence[Path],
+    max_skew_ms: float = MAX_SKEW_MS,
+    words: tuple[str, str, str] = ("left and right", "left", "right"),
 ) -> list[tuple[Path, Path]]:
-    """The images of both eyes that have the same name but for the eye in it, or stamps that are
-    near enough; those without a partner are left out, and told.
+    """The images of both eyes, or of colour and depth, that have the same name but for what says
+    which of the two it is, or stamps that are near enough; those without a partner are left out,
+    and told by these words.
 
     Raises:
         DataFolderError: none belong together; the sentence names the first without a partner.
     """
-    by_name = {_without_eye(path): path for path in right}
-    pairs = [(path, by_name[name]) for path in left if (name := _without_eye(path)) in by_name]
+    by_name = {_without_kind(path): path for path in right}
+    pairs = [(path, by_name[name]) for path in left if (name := _without_kind(path)) in by_name]
     if not pairs:
         pairs = _by_stamp(left, right, max_skew_ms)
     if not pairs:
         raise DataFolderError(
             f"{left[0]} has no partner in {right[0].parent}, whose first is {right[0].name}: "
-            "images that belong together need equal names (but for left and right), or stamps in "
+            f"images that belong together need equal names (but for {words[0]}), or stamps in "
             f"nanoseconds within {max_skew_ms:g} ms (--max-skew-ms)"
         )
-    for side, images, k in (("left", left, 0), ("right", right, 1)):
+    for side, images, k in ((words[1], left, 0), (words[2], right, 1)):
         taken = {pair[k] for pair in pairs}
         if alone := [path for path in images if path not in taken]:
             log.warning(
@@ -85,9 +92,9 @@ def _natural(text: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in parts if part]
 
 
-def _without_eye(path: Path) -> str:
-    """Its name in lower case without what says of which eye it is, and without leading zeros."""
-    name = _EYE.sub("", path.stem.lower())
+def _without_kind(path: Path) -> str:
+    """Its name in lower case without what says which of the two it is, nor leading zeros."""
+    name = _KIND.sub("", path.stem.lower())
     return re.sub(r"\d+", lambda found: str(int(found[0])), name)
 
 
@@ -112,7 +119,7 @@ def _stamp_ns(path: Path) -> int | None:
     """The time in a name: s with a point, or ms, us or ns since 1970."""
     if re.fullmatch(r"\d{9,10}\.\d+", path.stem):
         return round(1e9 * float(path.stem))
-    digits = _EYE.sub("", path.stem).strip("_-.")
+    digits = _KIND.sub("", path.stem).strip("_-.")
     if not digits.isdigit() or len(digits) < _STAMP_DIGITS:
         return None
     return int(digits) * 10 ** (19 - len(digits)) if len(digits) <= 19 else None
