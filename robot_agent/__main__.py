@@ -113,6 +113,26 @@ def calibrate_check(
     raise typer.Exit(run(options))
 
 
+@app.command()
+def inspect(
+    source: Annotated[str, typer.Argument(help="Folder, file, or device; or left,right.")],
+    calibration: Calibration = None,
+    translation_unit: Unit = None,
+    depth_scale: Annotated[
+        float | None, typer.Option(help="Steps of depth images per metre.")
+    ] = None,
+    clouds: Annotated[str | None, typer.Option(help="Posed views: which kind of clouds.")] = None,
+) -> None:
+    """Says what a folder, a file or a device is, what is understood of it, and how to run it."""
+    from fleetpose.robot_agent.checking import inspection
+
+    logging.getLogger("fleetpose").propagate = False  # what readers warn of is printed as notes
+    found = inspection.inspect(source, calibration, translation_unit, depth_scale, clouds)
+    for line in found.lines(source):
+        typer.echo(line)
+    _leave()
+
+
 def _leave() -> None:
     """Ends at once where a view is still being worked on or waited for: the interpreter must not
     pull the rug from under OpenCV, and nobody waits for that view any more.

@@ -14,6 +14,7 @@ from fleetpose.protocol.session.supervisor import Supervisor
 from fleetpose.protocol.transport import SessionSettings
 from fleetpose.robot_agent.cameras.factory import open_camera
 from fleetpose.robot_agent.cameras.stereo.video import video_settings
+from fleetpose.robot_agent.cameras.understood import understood_of
 from fleetpose.robot_agent.client import FleetRobot
 from fleetpose.robot_agent.hearing import UNHEARD_S
 from fleetpose.robot_agent.sender import SenderSettings
@@ -75,7 +76,11 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
             def between() -> None:
                 systemd.alive(_status(robot))
 
+            first = True
             for frame in paced(camera.frames(), settings.rate_hz, stop, between):
+                if first:
+                    log.info("understood name=%s %s", robot.name, understood_of(frame))
+                    first = False
                 robot.push_frame(frame)
                 heard.log()
             if not stop.is_set():

@@ -24,6 +24,7 @@ from fleetpose.robot_agent.cameras.stereo.rectify import Rectifier
 from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
 from fleetpose.robot_agent.cameras.stereo.video import VideoSettings
 from fleetpose.robot_agent.cameras.still import StillImage
+from fleetpose.robot_agent.cameras.understood import THIN_DEPTH, understood_of
 
 log = logging.getLogger(__name__)
 
@@ -39,9 +40,6 @@ MIN_DISPARITY_PX = 2.0  # beyond, depth is so vague that its error is no longer 
 MAX_LEFT_RIGHT_DIFFERENCE_PX = 1.0
 MIN_SLOPE = 1.5  # mean grey levels per px along the row: below, sensor noise decides the match
 
-THIN_DEPTH = 0.1
-"""Share of the pixels with depth below which something is wrong: good rigs gave 0.6 to 0.9, eyes
-that had changed places 0.04."""
 _SURELY = 3.0
 
 _SUBPIXELS = 16  # of OpenCV's fixed point
@@ -167,10 +165,11 @@ class StereoCamera:
         Raises:
             CalibrationError: the other way round there is much more.
         """
-        share = depth_share(frame)
+        share = understood_of(frame).share or 0.0
         if share >= THIN_DEPTH:
             return
-        other = depth_share(self._matcher.frame(pair.right, pair.left, pair.stamp_ns))
+        swapped = self._matcher.frame(pair.right, pair.left, pair.stamp_ns)
+        other = understood_of(swapped).share or 0.0
         name = self._source.name
         if other > THIN_DEPTH and other > _SURELY * share:
             raise CalibrationError(
@@ -183,12 +182,6 @@ class StereoCamera:
             "calibration fit (robot-agent calibrate-check), is there texture in sight?",
             *(name, 100 * share),
         )
-
-
-def depth_share(frame: Frame) -> float:
-    """The share of the pixels of a stereo frame that have depth."""
-    assert isinstance(frame.ranges, DisparityImage)
-    return float(np.isfinite(frame.ranges.disparity_px).mean())
 
 
 def open_camera(
