@@ -41,6 +41,7 @@ class Robot:
         published: the pose that was told last, and where that put it.
         stood: the first view since which it has stood still and seen the same.
         refused: how many of its views were refused since the newest one, and why the last was.
+        blind: the text of the alarm that its newest view has hardly any depth; empty if it has.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Robot:
     published_at: PublishedAt | None = None
     stood: KeptView | None = None
     refused: tuple[int, str] = (0, "")
+    blind: str = ""
 
     @property
     def alive(self) -> bool:

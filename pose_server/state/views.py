@@ -43,6 +43,7 @@ class KeptView:
         frozen_s: for how long the robot's camera has given the same image, to the last bit.
         on_way_s: that the robot's view before it took to arrive.
         share: of its salient points that the robot sent.
+        depth_points: how many of these that came have depth, of those it would have sent all.
     """
 
     name: ViewName
@@ -59,6 +60,7 @@ class KeptView:
     frozen_s: float = 0.0
     on_way_s: float = 0.0
     share: float = 1.0
+    depth_points: int = 0
 
     @property
     def encoded(self) -> EncodedView:
@@ -108,7 +110,8 @@ def open_view(
     salient = decode_salient(view.salient)
     _check_inside("point", points.uv, view.camera)
     _check_inside("salient point", salient.uv, view.camera)
-    strongest = np.flatnonzero(np.isfinite(salient.inverse_depth))[:_SIGNATURE_POINTS]
+    with_depth = np.flatnonzero(np.isfinite(salient.inverse_depth))
+    strongest = with_depth[:_SIGNATURE_POINTS]
     return KeptView(
         name=view.name,
         payload=payload,
@@ -124,6 +127,7 @@ def open_view(
         frozen_s=view.frozen_s,
         on_way_s=view.on_way_s,
         share=view.share,
+        depth_points=round(len(with_depth) / max(view.share, 1e-3)),
     )
 
 
