@@ -154,9 +154,13 @@ class Link:
         replies = self.session.liveliness().get(key_expr, timeout=timeout_s)
         return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
-    def queryable(self, key: str, answer: Callable[[dict[str, str]], "Answer"]) -> None:
-        """Answers queries `key?a=b;c=d` one after the other in a thread of their own."""
-        queries = _Queries(key, answer)
+    def queryable(
+        self, key: str, answer: Callable[[dict[str, str]], "Answer"], background: bool = False
+    ) -> None:
+        """Answers queries `key?a=b;c=d` one after the other in a thread of their own; with
+        `background` never in the way of anything else.
+        """
+        queries = _Queries(key, answer, background)
         self._declared.append(self.session.declare_queryable(key, queries.store))
         self._declared.append(queries)
         queries.start()
@@ -201,8 +205,11 @@ def parameters_of(text: str) -> dict[str, str]:
 
 
 class _Queries(threading.Thread):
-    def __init__(self, key: str, answer: Callable[[dict[str, str]], Answer]) -> None:
+    def __init__(
+        self, key: str, answer: Callable[[dict[str, str]], Answer], background: bool
+    ) -> None:
         super().__init__(name=f"queries {key}", daemon=True)
+        self._how = {"priority": zenoh.Priority.BACKGROUND} if background else {}
         self._key = key
         self._answer = answer
         self._changed = threading.Condition()
@@ -237,6 +244,7 @@ class _Queries(threading.Thread):
                         answer.payload,
                         encoding=zenoh.Encoding(answer.encoding),
                         attachment=answer.attachment,
+                        **self._how,
                     )
             except zenoh.ZError:  # the session ended, or who asked has left
                 continue
