@@ -16,8 +16,8 @@ _FAST_IN_A_ROW = 10  # until more is tried: a step up on a poor link costs a lat
 _SLOW_IN_A_ROW = 2  # one late word may be a busy computer's
 SHARES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125)
 _LEAST_POINTS = 200
-_LEAST_QUALITY = 40
-_PART_OF_IMAGES = 0.3  # of a slow link's time
+_LEAST_QUALITY = 30
+_PART_OF_IMAGES = 0.15  # of a slow link's time: TLS buffers 64 kB of them, which delay a view
 _LEAST_S = 1e-3
 _WORTHWHILE = 0.2  # of a view that salient points must be, for fewer of them to help
 

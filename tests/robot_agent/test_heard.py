@@ -116,7 +116,7 @@ def test_a_slow_link_gets_smaller_views_until_they_pass_in_time():
         took_s.append(full * budget.share / bytes_s)
     assert took_s[0] > 2.0 and took_s[-1] < SLOW_S
     assert budget.points(1600) == round(1600 * budget.share) < 1600
-    assert 40 <= budget.quality(85) < 85
+    assert 30 <= budget.quality(85) < 85
 
 
 def test_one_late_word_changes_nothing_and_a_fast_link_gets_all_again():
@@ -175,7 +175,7 @@ def test_images_get_a_part_of_a_slow_links_time_and_all_they_want_of_a_fast_one(
 
     assert images_in_a_minute(10e6) == 60
     slow = images_in_a_minute(50e3)
-    assert 0 < slow * 60_000 / 50e3 < 60 * 0.35
+    assert 0 < slow * 60_000 / 50e3 < 60 * 0.2
 
 
 def test_an_older_view_that_is_confirmed_again_is_no_news():

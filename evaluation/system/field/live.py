@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from fleetpose.deploy.local_fleet import LocalFleet, wait_running
+from fleetpose.deploy.local_fleet import ROBOT_NICE, LocalFleet, wait_running
 from fleetpose.evaluation.system.field.site import Field
 from fleetpose.evaluation.system.fleet import FleetPlan, RobotPlan, plan_world
 from fleetpose.hmi_client.model.onlooker import Onlooker
@@ -169,11 +169,11 @@ def wait_server(it: Live) -> None:
         it.wait(lambda: bool(alive), "the server does not start")
 
 
-def start_robot(it: Live, robot: RobotPlan) -> None:
+def start_robot(it: Live, robot: RobotPlan, nice: int = ROBOT_NICE) -> None:
     """Starts an agent as its unit would: configuration and settings from its machine's folder."""
     folder = it.field.install(f"robot/{robot.name}")
     settings = folder / "robot.toml"
     camera = f'name = "{robot.name}"\ncamera = "{robot.camera}"\ndata = "{robot.data}"\n'
     settings.write_text(camera)
     config = ("--config", str(folder / "zenoh.json5"), "--settings", str(settings))
-    it.fleet.start(robot.name, "fleetpose.robot_agent", "run", *config, *robot.options, nice=10)
+    it.fleet.start(robot.name, "fleetpose.robot_agent", "run", *config, *robot.options, nice=nice)

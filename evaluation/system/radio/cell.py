@@ -198,7 +198,7 @@ def _in_the_air(cell: Cell) -> Iterator[Live]:
                 _start_world(it, robot)
         for robot in plan.robots:
             with robots[robot.name].entered():
-                start_robot(it, robot)
+                start_robot(it, robot, nice=0)  # its computer is its own
         yield it
 
 
