@@ -154,25 +154,22 @@ class Link:
         replies = self.session.liveliness().get(key_expr, timeout=timeout_s)
         return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
-    def queryable(
-        self, key: str, answer: Callable[[dict[str, str]], "Answer"], background: bool = False
-    ) -> None:
-        """Answers queries `key?a=b;c=d` one after the other in a thread of their own; with
-        `background` never in the way of anything else.
-        """
-        queries = _Queries(key, answer, background)
+    def queryable(self, key: str, answer: Callable[[dict[str, str]], "Answer"]) -> None:
+        """Answers queries `key?a=b;c=d` one after the other in a thread of their own."""
+        queries = _Queries(key, answer)
         self._declared.append(self.session.declare_queryable(key, queries.store))
         self._declared.append(queries)
         queries.start()
 
-    def query(self, selector: str, timeout_s: float = 3.0) -> Sample:
-        """Asks for one answer.
+    def query(self, selector: str, timeout_s: float = 3.0, background: bool = False) -> Sample:
+        """Asks for one answer; with `background` the answer is never in the way of anything else.
 
         Raises:
             UnreachableError: nobody answered, or the answer was an error, whose text it carries.
         """
         reason = "nobody answered (not there, or not allowed)"
-        for reply in self.session.get(selector, timeout=timeout_s):
+        priority = zenoh.Priority.BACKGROUND if background else None
+        for reply in self.session.get(selector, timeout=timeout_s, priority=priority):
             if reply.ok is not None:
                 return _detached(reply.ok)
             if reply.err is not None:
@@ -205,11 +202,8 @@ def parameters_of(text: str) -> dict[str, str]:
 
 
 class _Queries(threading.Thread):
-    def __init__(
-        self, key: str, answer: Callable[[dict[str, str]], Answer], background: bool
-    ) -> None:
+    def __init__(self, key: str, answer: Callable[[dict[str, str]], Answer]) -> None:
         super().__init__(name=f"queries {key}", daemon=True)
-        self._how = {"priority": zenoh.Priority.BACKGROUND} if background else {}
         self._key = key
         self._answer = answer
         self._changed = threading.Condition()
@@ -244,7 +238,6 @@ class _Queries(threading.Thread):
                         answer.payload,
                         encoding=zenoh.Encoding(answer.encoding),
                         attachment=answer.attachment,
-                        **self._how,
                     )
             except zenoh.ZError:  # the session ended, or who asked has left
                 continue

@@ -142,9 +142,12 @@ class OnWay:
         """
         if now_s < self._image_from_s:
             return False
-        if self._bytes_per_s is not None:
-            self._image_from_s = now_s + size / self._bytes_per_s / _PART_OF_IMAGES
+        self._image_from_s = now_s + self.takes_s(size) / _PART_OF_IMAGES
         return True
+
+    def takes_s(self, size: int) -> float:
+        """How long so many bytes take at the pace of the last view; 0 where it is not known."""
+        return 0.0 if self._bytes_per_s is None else size / self._bytes_per_s
 
     def _note(self, took_s: float) -> bool:
         """Notes what the open view took, at least; whether the budget changed."""

@@ -24,11 +24,11 @@ from fleetpose.protocol.messages import (
     View,
     ViewName,
 )
-from fleetpose.protocol.transport import ENCODING_JPEG, Link
+from fleetpose.protocol.transport import ENCODING_JPEG, Answer, Link
 from fleetpose.robot_agent.cameras.base import Frame
 from fleetpose.robot_agent.features.keypoints import salient_of
 from fleetpose.robot_agent.features.packing import view_of
-from fleetpose.robot_agent.on_way import OnWay
+from fleetpose.robot_agent.on_way import SLOW_S, OnWay
 from fleetpose.robot_agent.recent_views import JPEG_QUALITY, KeptViews, kept_view
 
 log = logging.getLogger(__name__)
@@ -93,7 +93,7 @@ class Sender:
         self._closed = False
         self._failure: Exception | None = None
         self.dropped = 0
-        link.queryable(keys.view(name), self._kept.answer, background=True)
+        link.queryable(keys.view(name), self._answer)
         self._thread = threading.Thread(target=self._run, name=f"sender {name}", daemon=True)
         self._thread.start()
 
@@ -228,8 +228,11 @@ class Sender:
         return kept
 
     def _publish(self, kept: KeptView) -> None:
+        took_s = self._of_link()["on_way_s"]  # of the view before, which was on its way just now
+        view = kept.view.model_copy(update={"on_way_s": took_s})
+        kept = kept.model_copy(update={"view": view})
         self._kept.keep(kept)
-        view, payload = kept.view, pack(kept.view)
+        payload = pack(view)
         put_s, size = time.monotonic(), len(payload)
         with self._changed:
             self._on_way.sent(view.name.seq, put_s, size, len(view.salient.data) / size)
@@ -273,6 +276,17 @@ class Sender:
         view = kept.view.model_copy(update={**now, **up, "frozen_s": frame.frozen_s})
         header = ImageHeader(view=name, stamp_ns=frame.stamp_ns)
         return kept.model_copy(update={"view": view, "image": header})
+
+    def _answer(self, parameters: dict[str, str]) -> Answer:
+        """What of the last views is asked for, unless it would hold up the next ones: who asks does
+        not wait that long anyway.
+        """
+        answer = self._kept.answer(parameters)
+        with self._changed:
+            takes_s = self._on_way.takes_s(len(answer.payload))
+        if takes_s > SLOW_S:
+            return Answer(error=f"the link is slow: it would take {takes_s:.1f} s and more")
+        return answer
 
     def _publish_image(self, kept: KeptView) -> int:
         if not self._image.wanted or kept.jpeg is None or kept.image is None:
