@@ -73,6 +73,7 @@ class Ages:
         self._robots = tuple(robots)
         self._newest: dict[str, RobotPose] = {}
         self.first_s: dict[str, float] = {}
+        self._arrived: list[tuple[float, float]] = []
         link.on_latched(keys.poses, self._store)
 
     def look(self) -> Look:
@@ -83,6 +84,10 @@ class Ages:
             tuple((now_ns - pose.stamp_ns) * 1e-9 for pose in newest),
             sum(pose.located and pose.valid_until_ns > now_ns for pose in newest),
         )
+
+    def on_arrival_s(self, since_s: float) -> list[float]:
+        """How old the first pose of each view was when it came, after a wall clock's time."""
+        return [age_s for at_s, age_s in self._arrived if at_s >= since_s]
 
     def all_located(self) -> bool:
         """Whether every robot is."""
@@ -108,5 +113,8 @@ class Ages:
             pose = unpack(RobotPose, sample.payload, sample.encoding)
         except CodecError:
             return
-        self.first_s.setdefault(str(pose.view), time.time())
+        now_s, view = time.time(), str(pose.view)
+        if view not in self.first_s:
+            self.first_s[view] = now_s
+            self._arrived.append((now_s, now_s - 1e-9 * pose.stamp_ns))
         self._newest[pose.robot] = pose

@@ -106,6 +106,7 @@ def _watch(it: Live, cell: Cell, ages: Ages, operator: Clicking) -> dict[str, An
     ]
     return {
         **_of_looks(looks, len(it.plan.names)),
+        **_spread("pose_age_on_arrival_s", ages.on_arrival_s(began_s)),
         **_of_views(sent, ages, seconds * len(it.plan.names)),
         **_spread("click_s", operator.clicker.waited_s(clicked_s, time.monotonic())),
         **_of_link(before, after, seconds),
