@@ -39,6 +39,7 @@ def _parts(options: FieldOptions) -> dict[str, Part]:
             "certificates are made with cryptography: pip install 'fleetpose[deploy]'"
         ) from error
     from fleetpose.evaluation.system.field import attacks, flood, rotate, routers, silent
+    from fleetpose.evaluation.system.radio import run as radio
 
     asked: dict[str, tuple[bool, Part]] = {
         "attacks": (options.attacks, attacks.run),
@@ -46,6 +47,7 @@ def _parts(options: FieldOptions) -> dict[str, Part]:
         "rotate": (options.rotate, rotate.run),
         "kills": (bool(options.kills), routers.run),
         "flood": (options.flood, flood.run),
+        "radio": (options.radio is not None, radio.run),
     }
     parts = {name: part for name, (wanted, part) in asked.items() if wanted}
     if not parts:
