@@ -10,10 +10,10 @@ import zenoh
 
 from fleetpose.evaluation.options.field import FieldOptions
 from fleetpose.evaluation.report.output import write_csv
-from fleetpose.evaluation.system.field.attempts import Attempt, Victims, attempts, play
-from fleetpose.evaluation.system.field.denials import HeardDenials, names
+from fleetpose.evaluation.system.field.attackers.attempts import Attempt, Victims, attempts, play
+from fleetpose.evaluation.system.field.attackers.denials import HeardDenials, names
+from fleetpose.evaluation.system.field.attackers.strangers import EVIL, Stranger, entered, strangers
 from fleetpose.evaluation.system.field.live import Live, live
-from fleetpose.evaluation.system.field.strangers import EVIL, Stranger, entered, strangers
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.transport import wait_until
 

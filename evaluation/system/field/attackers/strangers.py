@@ -12,7 +12,7 @@ import zenoh
 from fleetpose.deploy.identity import Identity
 from fleetpose.deploy.manifest import CA, CONFIGURATION
 from fleetpose.deploy.site.certificates import Authority
-from fleetpose.evaluation.system.field.attempts import EVIL
+from fleetpose.evaluation.system.field.attackers.attempts import EVIL
 from fleetpose.evaluation.system.field.site import Change, Field, opened
 from fleetpose.pose_server.routing.denials import STRANGER
 
