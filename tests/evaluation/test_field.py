@@ -34,7 +34,8 @@ def test_no_attack_passes_most_are_named_and_nobody_else_is(tmp_path):
     summary = command.run(FieldOptions(attacks=True, quiet_s=4.0), tmp_path)
     assert summary["attacks_tried"] >= 30
     assert summary["attacks_passed"] == summary["attacks_false_alarms"] == 0
-    assert summary["attacks_named_share"] > 0.9
+    assert summary["attacks_named_share"] >= 0.95
+    assert summary["attacks_strangers_named"] == summary["attacks_strangers"] == 8
     with (tmp_path / "attacks.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {"put", "delete", "show", "answer", "listen", "ask"} == {row["verb"] for row in rows}
