@@ -134,10 +134,10 @@ def inspect(
 
 
 def _leave() -> None:
-    """Ends at once where a view is still being worked on or waited for: the interpreter must not
-    pull the rug from under OpenCV, and nobody waits for that view any more.
+    """Ends at once where a view is still being worked on or waited for, or the network is asked:
+    the interpreter must not pull the rug from under OpenCV or zenoh, and nobody waits for it.
     """
-    busy = ("sender ", "reader ")
+    busy = ("sender ", "reader ", "silence")
     if any(thread.name.startswith(busy) for thread in threading.enumerate()):
         logging.shutdown()
         os._exit(0)

@@ -19,8 +19,10 @@ from fleetpose.protocol.transport import Sample
 log = logging.getLogger(__name__)
 
 UNHEARD_S = 5.0  # with views on their way and no word of the server, until that is told
+LOST_S = 3.0  # without any router, until that is told: one that is restarted is back before
 AGAIN_S = 60.0
 _LOOK_S = 0.2
+_END_S = 1.0
 
 
 class Hearing:
@@ -97,33 +99,59 @@ def unread_by(heard: Heard) -> str:
 
 
 class SilenceWatch(threading.Thread):
-    """Tells that the server has none of the views that are sent: after some seconds, and again each
-    minute, with the most probable cause.
+    """Tells that the server has none of the views that are sent, or that no router is reached:
+    after some seconds, and again each minute, with the most probable cause.
 
     Args:
         unheard_s: for how long views have been sent in vain.
+        connected: whether a router is reached.
         cause: finds the cause; may ask the network.
+        at_first: what is wrong before any view was sent, empty if nothing; may ask the network,
+            and ends early where the event is set that it is given.
     """
 
-    def __init__(self, unheard_s: Callable[[], float], cause: Callable[[], str]) -> None:
+    def __init__(
+        self,
+        unheard_s: Callable[[], float],
+        connected: Callable[[], bool],
+        cause: Callable[[], str],
+        at_first: Callable[[threading.Event], str],
+    ) -> None:
         super().__init__(name="silence", daemon=True)
-        self._unheard_s, self._cause = unheard_s, cause
+        self._unheard_s, self._connected = unheard_s, connected
+        self._cause, self._at_first = cause, at_first
+        self._connected_s = time.monotonic()
         self._stop_asked = threading.Event()
 
     def run(self) -> None:
+        if fault := self._at_first(self._stop_asked):
+            log.warning("%s", fault)
         told_s: float | None = None
         while not self._stop_asked.wait(_LOOK_S):
-            unheard_s, now_s = self._unheard_s(), time.monotonic()
-            if unheard_s <= UNHEARD_S:
-                if told_s is not None and unheard_s == 0.0:
+            now_s = time.monotonic()
+            silent = self._silent()
+            if not silent:
+                if told_s is not None and self._well():
                     log.info("the server hears this robot again")
                     told_s = None
-                continue
-            if told_s is None or now_s - told_s > AGAIN_S:
+            elif told_s is None or now_s - told_s > AGAIN_S:
                 told_s = now_s
-                log.warning("not heard for %.0f s: %s", unheard_s, self._cause())
+                log.warning("%s: %s", silent, self._cause())
+
+    def _silent(self) -> str:
+        """That something is wrong for long enough to be told; else empty."""
+        now_s, unheard_s = time.monotonic(), self._unheard_s()
+        if self._connected():
+            self._connected_s = now_s
+        if unheard_s > UNHEARD_S:
+            return f"not heard for {unheard_s:.0f} s"
+        lost_s = now_s - self._connected_s
+        return f"no router for {lost_s:.0f} s" if lost_s > LOST_S else ""
+
+    def _well(self) -> bool:
+        return self._unheard_s() == 0.0 and self._connected()
 
     def close(self) -> None:
-        """Ends the thread, unless it is asking the network now."""
+        """Ends the thread, unless it waits for the network longer than that is worth."""
         self._stop_asked.set()
-        self.join(_LOOK_S)
+        self.join(_END_S)

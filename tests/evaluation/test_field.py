@@ -9,7 +9,7 @@ pytest.importorskip("cryptography", reason="certificates are made with it")
 
 from fleetpose.evaluation.options.field import FieldOptions
 from fleetpose.evaluation.system.field import command, silent
-from fleetpose.evaluation.system.field.denials import names
+from fleetpose.evaluation.system.field.attackers.denials import names
 from fleetpose.protocol.errors import FleetPoseError
 
 
@@ -34,19 +34,19 @@ def test_no_attack_passes_most_are_named_and_nobody_else_is(tmp_path):
     summary = command.run(FieldOptions(attacks=True, quiet_s=4.0), tmp_path)
     assert summary["attacks_tried"] >= 30
     assert summary["attacks_passed"] == summary["attacks_false_alarms"] == 0
-    assert summary["attacks_named_share"] > 0.9
+    assert summary["attacks_named_share"] >= 0.95
+    assert summary["attacks_strangers_named"] == summary["attacks_strangers"] == 8
     with (tmp_path / "attacks.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {"put", "delete", "show", "answer", "listen", "ask"} == {row["verb"] for row in rows}
 
 
-@pytest.mark.timeout(200)
-def test_check_names_what_silences_a_robot(tmp_path):
-    told = silent.run(
-        FieldOptions(), tmp_path, tmp_path / "out/logs/silent", ("expired", "other name")
-    )
-    assert told["causes"] == told["agent_tried"] == told["check_named"] == 2
-    assert told["agent_named"] >= 1
+@pytest.mark.timeout(240)
+def test_agent_and_check_name_what_silences_a_robot(tmp_path):
+    ways = ("expired", "unknown to the rules", "other name", "no TLS there", "all routers die")
+    told = silent.run(FieldOptions(), tmp_path, tmp_path / "out/logs/silent", ways)
+    assert told["causes"] == told["agent_tried"] == len(ways)
+    assert told["check_named"] == told["agent_named"] == len(ways)
 
 
 @pytest.mark.timeout(240)

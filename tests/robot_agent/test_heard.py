@@ -80,6 +80,16 @@ def test_the_cause_of_a_silence_is_told(robot, ear, caplog, monkeypatch, told, c
     assert caplog.text.count("not heard for") == 1
 
 
+def test_a_router_that_is_lost_is_told_before_any_view_is_missed(own_router, caplog, monkeypatch):
+    monkeypatch.setattr(hearing, "LOST_S", 0.2)
+    caplog.set_level(logging.INFO)
+    with FleetRobot("r1", settings_for(own_router.endpoint), camera=MODEL):
+        own_router.close()
+        assert wait_until(lambda: "no router is reached" in caplog.text, 10), caplog.text
+        own_router.start()
+        assert wait_until(lambda: "hears this robot again" in caplog.text, 20), caplog.text
+
+
 def test_what_another_says_is_heard_is_refused(robot, ear, link):
     ear(heard(n=1, seq=0, epoch=robot.epoch, server_epoch=OTHER))
     assert wait_until(lambda: robot.drops.total() == 1, 5)
