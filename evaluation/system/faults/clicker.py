@@ -71,6 +71,8 @@ class Clicker(Heard):
         self._clicks: dict[int, Click] = {}  # every one ever told, by id
         self._erasing: set[int] = set()
         self._offered_s: dict[int, float] = {}
+        self._posted_s: dict[int, float] = {}
+        self._waits_s: list[tuple[float, float]] = []
         self._ways = {places.pair: self._way(places) for places in self._places}
         self._publisher = link.latched(keys.updates(name), block=True, history=100)
         self._stop = threading.Event()
@@ -107,6 +109,11 @@ class Clicker(Heard):
         """Updates that were put and that no receipt covers."""
         with self._lock:
             return len(self._outbox.open)
+
+    def waits_s(self, since_s: float) -> list[float]:
+        """From the first put of an update to its receipt, of those put after a time."""
+        with self._lock:
+            return [wait_s for posted_s, wait_s in self._waits_s if posted_s >= since_s]
 
     def settled(self, timeout_s: float) -> bool:
         """Waits until nothing is open; whether that came about."""
@@ -199,10 +206,15 @@ class Clicker(Heard):
             n = ticket.update.n
             if now_s - self._offered_s.get(n, now_s - REPEAT_S) >= REPEAT_S:
                 self._offered_s[n] = now_s
+                self._posted_s.setdefault(n, time.monotonic())
                 self._publisher.put(codec.pack(ticket.update), codec.encoding_of(OperatorUpdate))
 
     def _settle(self, receipts: Receipts) -> bool:
-        return bool(self._outbox.settle(receipts))
+        settled, now_s = self._outbox.settle(receipts), time.monotonic()
+        for ticket in settled:
+            posted_s = self._posted_s.pop(ticket.update.n, now_s)
+            self._waits_s.append((posted_s, now_s - posted_s))
+        return bool(settled)
 
     def _note_set(self, sample: Sample) -> None:
         super()._note_set(sample)
