@@ -57,6 +57,7 @@ def test_kills_of_routers_and_new_rules_lose_no_click_and_who_is_revoked_passes_
         assert summary[f"{part}_settled"] and summary[f"{part}_receipted"] > 20
     assert summary["rotate_revoked_before"] > 0 == summary["rotate_revoked_passed"]
     assert summary["kills_opened_first_dead_s"] > 0
+    assert summary["kills_frozen"] == 2 and summary["kills_frozen_receipts_gap_s_max"] > 0
 
 
 @pytest.mark.timeout(200)
@@ -65,6 +66,12 @@ def test_a_flood_loses_no_click_and_poses_of_others_go_on(tmp_path):
     assert summary["flood_lost"] == summary["flood_doubled"] == 0
     for kind in ("quiet", "odometry", "clouds", "tokens", "queries"):
         assert 0 < summary[f"flood_{kind}_pose_gap_s"] < 5.0, "in 5 s there was a pose"
+    without, with_filter = (
+        summary.get(f"flood_handshakes_{kind}_filter_s") for kind in ("without", "with")
+    )
+    if without is None or with_filter is None:
+        pytest.skip(f"no crowd: {summary['flood_handshakes']}")
+    assert with_filter < without
 
 
 @pytest.mark.timeout(400)
