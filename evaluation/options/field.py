@@ -59,6 +59,9 @@ class FieldOptions:
     routers: int = told("Of the site, for --kills.", 2, min=1, max=2)
     kills: int = told("Kill a router so many times under clicks.", 0, min=0)
     flood: bool = told("Have a robot send as fast as it can.", False, "--flood")
+    cost: bool = told(
+        "Clicks and CPU with TLS and access control, beside a plain router.", False, "--cost"
+    )
     radio: RadioLink | None = told(
         "Put the robots behind a shared radio link: RATE_KBIT,DELAY_MS,LOSS, e.g. 2000,50,0.05.",
         None,

@@ -209,6 +209,7 @@ class Clicker(Heard):
             n = ticket.update.n
             if now_s - self._offered_s.get(n, now_s - REPEAT_S) >= REPEAT_S:
                 self._offered_s[n] = now_s
+                self._posted_s.setdefault(n, time.monotonic())
                 self._publisher.put(codec.pack(ticket.update), codec.encoding_of(OperatorUpdate))
 
     def _settle(self, receipts: Receipts) -> bool:

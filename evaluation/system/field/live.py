@@ -87,6 +87,7 @@ def live(
     robots: int = 3,
     routers: Sequence[str] = ("a",),
     located: bool = True,
+    make: Callable[..., Field] = Field,
 ) -> Iterator[Live]:
     """Routers, world, server and robots from the bundles of a new site.
 
@@ -95,12 +96,13 @@ def live(
         robots: that stand in the synthetic world.
         routers: names.
         located: wait until all robots are.
+        make: the site, given its folder and the names of robots and routers.
 
     Raises:
         FleetPoseError: they do not come up.
     """
     names = tuple(f"r{k + 1}" for k in range(robots))
-    field = Field(folder, robots=names, routers=tuple(routers))
+    field = make(folder, robots=names, routers=tuple(routers))
     plan = plan_world(names, folder, moving=False, seed=0)
     with LocalFleet(logs) as fleet:
         it = Live(field, fleet, plan)
