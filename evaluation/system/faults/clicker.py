@@ -53,6 +53,9 @@ class Clicker(Heard):
         places: where to click.
         per_s: clicks per second.
         name: the operator's.
+
+    Attributes:
+        waits_s: of every receipted update, from when it was posted to its receipt.
     """
 
     def __init__(
@@ -71,6 +74,8 @@ class Clicker(Heard):
         self._clicks: dict[int, Click] = {}  # every one ever told, by id
         self._erasing: set[int] = set()
         self._offered_s: dict[int, float] = {}
+        self._posted_s: dict[int, float] = {}
+        self.waits_s: list[float] = []
         self._ways = {places.pair: self._way(places) for places in self._places}
         self._publisher = link.latched(keys.updates(name), block=True, history=100)
         self._stop = threading.Event()
@@ -167,6 +172,7 @@ class Clicker(Heard):
             else:
                 ticket = self._add(places)
             self._tickets.append(ticket)
+            self._posted_s[ticket.update.n] = time.monotonic()
 
     def _erase(self, pair: Pair, item: Correspondence) -> Ticket:
         self._erasing.add(item.id)
@@ -202,7 +208,9 @@ class Clicker(Heard):
                 self._publisher.put(codec.pack(ticket.update), codec.encoding_of(OperatorUpdate))
 
     def _settle(self, receipts: Receipts) -> bool:
-        return bool(self._outbox.settle(receipts))
+        settled, now_s = self._outbox.settle(receipts), time.monotonic()
+        self.waits_s += [now_s - self._posted_s.pop(ticket.update.n) for ticket in settled]
+        return bool(settled)
 
     def _note_set(self, sample: Sample) -> None:
         super()._note_set(sample)
