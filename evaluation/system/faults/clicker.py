@@ -53,6 +53,9 @@ class Clicker(Heard):
         places: where to click.
         per_s: clicks per second.
         name: the operator's.
+
+    Attributes:
+        waits_s: of every receipted update, from when it was posted to its receipt.
     """
 
     def __init__(
@@ -73,6 +76,7 @@ class Clicker(Heard):
         self._offered_s: dict[int, float] = {}
         self._posted_s: dict[int, float] = {}
         self._waited_s: list[tuple[float, float]] = []
+        self.waits_s: list[float] = []
         self._ways = {places.pair: self._way(places) for places in self._places}
         self._publisher = link.latched(keys.updates(name), block=True, history=100)
         self._stop = threading.Event()
@@ -176,7 +180,7 @@ class Clicker(Heard):
             else:
                 ticket = self._add(places)
             self._tickets.append(ticket)
-            self._posted_s[ticket.update.n] = now_s
+            self._posted_s[ticket.update.n] = time.monotonic()
 
     def _erase(self, pair: Pair, item: Correspondence) -> Ticket:
         self._erasing.add(item.id)
@@ -217,6 +221,7 @@ class Clicker(Heard):
         for ticket in settled:
             posted_s = self._posted_s.pop(ticket.update.n)
             self._waited_s.append((posted_s, now_s - posted_s))
+            self.waits_s.append(now_s - posted_s)
         return bool(settled)
 
     def _note_set(self, sample: Sample) -> None:

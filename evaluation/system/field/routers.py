@@ -17,7 +17,7 @@ from fleetpose.evaluation.system.field.live import Live, live, router_process, w
 from fleetpose.protocol.transport import wait_until
 
 _PAUSE_S = (1.0, 2.5)  # between a router that is back and the next kill: both are linked again
-_DOWN_S = 0.5
+DOWN_S = 0.5
 _FROZEN_S = (6.0, 8.0)
 
 
@@ -62,7 +62,7 @@ def _kill(operator: Clicking, name: str) -> float:
     """Kills a router, starts it again as its supervisor would; the longest time without receipt."""
     fleet, killed_s = operator.it.fleet, time.monotonic()
     fleet.kill(router_process(name))
-    wait_until(lambda: time.monotonic() > killed_s + _DOWN_S, 2 * _DOWN_S)
+    wait_until(lambda: time.monotonic() > killed_s + DOWN_S, 2 * DOWN_S)
     fleet.restart(router_process(name))
     wait_accepting(operator.it, name)
     operator.wait_receipt(time.monotonic())
