@@ -165,11 +165,11 @@ class Clicker(Heard):
         while not self._stop.wait(0.005):
             now_s = time.monotonic()
             if now_s >= next_s and not self._pause.is_set() and self.in_flight() < MAX_OPEN:
-                self._act(now_s)
+                self._act()
                 next_s = max(next_s + self._period_s, now_s)
             self._offer(now_s)
 
-    def _act(self, now_s: float) -> None:
+    def _act(self) -> None:
         places = self._chance.choice(self._places)
         with self._lock:
             known = self._sets.get(places.pair)
