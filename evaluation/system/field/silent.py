@@ -223,7 +223,7 @@ def _agent(
 
     Args:
         clock: variables of its environment.
-        then: breaks the link, once the agent is located: seconds are counted from when it is broken.
+        then: breaks the link, once the agent is located; seconds are counted from then on.
     """
     log = logs / f"agent-{one.name.replace(' ', '-')}.log"
     config = ("--config", str(machine / CONFIGURATION), "--settings", str(machine / "robot.toml"))
