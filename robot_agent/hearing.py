@@ -3,6 +3,7 @@ nothing.
 """
 
 import logging
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -21,8 +22,10 @@ log = logging.getLogger(__name__)
 UNHEARD_S = 5.0  # with views on their way and no word of the server, until that is told
 LOST_S = 3.0  # without any router, until that is told: one that is restarted is back before
 AGAIN_S = 60.0
+ASKED_AGAIN_S = 3.0  # another cause is told at once
 _LOOK_S = 0.2
 _END_S = 1.0
+_NUMBER = re.compile(r"\d+")
 
 
 class Hearing:
@@ -100,7 +103,8 @@ def unread_by(heard: Heard) -> str:
 
 class SilenceWatch(threading.Thread):
     """Tells that the server has none of the views that are sent, or that no router is reached:
-    after some seconds, and again each minute, with the most probable cause.
+    after some seconds, and again each minute or when the cause is another, with the most probable
+    cause.
 
     Args:
         unheard_s: for how long views have been sent in vain.
@@ -126,17 +130,21 @@ class SilenceWatch(threading.Thread):
     def run(self) -> None:
         if fault := self._at_first(self._stop_asked):
             log.warning("%s", fault)
-        told_s: float | None = None
+        told, told_s, asked_s = "", 0.0, 0.0
         while not self._stop_asked.wait(_LOOK_S):
-            now_s = time.monotonic()
-            silent = self._silent()
+            now_s, silent = time.monotonic(), self._silent()
             if not silent:
-                if told_s is not None and self._well():
+                if told and self._well():
                     log.info("the server hears this robot again")
-                    told_s = None
-            elif told_s is None or now_s - told_s > AGAIN_S:
-                told_s = now_s
-                log.warning("%s: %s", silent, self._cause())
+                    told = ""
+                continue
+            if told and now_s - asked_s < ASKED_AGAIN_S:
+                continue
+            cause, asked_s = self._cause(), now_s
+            kind = _NUMBER.sub("", cause)
+            if kind != told or now_s - told_s > AGAIN_S:
+                told, told_s = kind, now_s
+                log.warning("%s: %s", silent, cause)
 
     def _silent(self) -> str:
         """That something is wrong for long enough to be told; else empty."""

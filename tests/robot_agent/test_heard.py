@@ -80,6 +80,23 @@ def test_the_cause_of_a_silence_is_told(robot, ear, caplog, monkeypatch, told, c
     assert caplog.text.count("not heard for") == 1
 
 
+def test_another_cause_of_the_same_silence_is_told_at_once(caplog, monkeypatch):
+    monkeypatch.setattr(hearing, "ASKED_AGAIN_S", 0.05)
+    monkeypatch.setattr(hearing, "_LOOK_S", 0.01)
+    causes = ["nothing listens", *["view 1 is refused", "view 2 is refused"] * 5, "expired"]
+
+    def cause() -> str:
+        return causes.pop(0) if len(causes) > 1 else causes[0]
+
+    watch = hearing.SilenceWatch(lambda: 9.0, lambda: True, cause, lambda _: "")
+    watch.start()
+    assert wait_until(lambda: "expired" in caplog.text, 10)
+    watch.close()
+    assert [one.message.rpartition(": ")[2] for one in caplog.records] == [
+        *("nothing listens", "view 1 is refused", "expired")
+    ]
+
+
 def test_a_router_that_is_lost_is_told_before_any_view_is_missed(own_router, caplog, monkeypatch):
     monkeypatch.setattr(hearing, "LOST_S", 0.2)
     caplog.set_level(logging.INFO)

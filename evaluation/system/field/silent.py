@@ -151,6 +151,7 @@ def _breaks(it: Live) -> Iterator[Break]:
         _put(machine, authority.issue(who, days=-0.01))
         for router in ("a", "b"):
             it.fleet.restart(router_process(router))
+            wait_accepting(it, router)
 
     who = Identity("robot", ROBOT)
     yield Break("expired", certificate(authority.issue(who, days=-0.01)), "expired")
@@ -222,7 +223,7 @@ def _agent(
 
     Args:
         clock: variables of its environment.
-        then: breaks the link, once the agent is located: seconds are counted from there.
+        then: breaks the link, once the agent is located; seconds are counted from then on.
     """
     log = logs / f"agent-{one.name.replace(' ', '-')}.log"
     config = ("--config", str(machine / CONFIGURATION), "--settings", str(machine / "robot.toml"))
@@ -239,8 +240,8 @@ def _agent(
         try:
             if then is not None:
                 wait_until(lambda: bool(naming(LOCATED)), UP_S, poll_s=0.1)
-                began_s = time.monotonic()
                 then()
+                began_s = time.monotonic()
             wait_until(
                 lambda: bool(naming(words)) or process.poll() is not None, WITHIN_S, poll_s=0.1
             )
