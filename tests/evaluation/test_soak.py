@@ -1,6 +1,5 @@
 """What a soak does to a fleet and says of it, and a short soak of live processes."""
 
-import csv
 import errno
 import itertools
 import json
@@ -17,10 +16,9 @@ import pytest
 
 pytest.importorskip("cryptography", reason="certificates are made with it")
 
-from fleetpose.evaluation.options.fleets import SoakOptions
 from fleetpose.evaluation.system.faults.clicker import Account
 from fleetpose.evaluation.system.memory import family_mb
-from fleetpose.evaluation.system.soak import command, report
+from fleetpose.evaluation.system.soak import report
 from fleetpose.evaluation.system.soak.disk import LEFT_BYTES, Disk
 from fleetpose.evaluation.system.soak.noting import Memory, Noting, Second
 from fleetpose.evaluation.system.soak.relay import Relay
@@ -258,20 +256,3 @@ def test_what_goes_wrong_while_noting_is_told_at_the_end():
     noting = Noting(site, observer, clicker, None, (), lambda: None)
     with pytest.raises(ZeroDivisionError), noting:
         assert wait_until(lambda: not noting.is_alive(), 20.0)
-
-
-@pytest.mark.timeout(600)
-def test_a_short_soak_loses_nothing_and_leaves_its_tables(tmp_path):
-    options = SoakOptions(hours=20 / 3600, robots=3, trouble_s=6.0)
-    summary = command.run(options, tmp_path)
-    assert sum(summary[kind] for kind in KINDS) >= 1
-    judged = ("lost", "doubled", "grave_located", "unexpected_ends", "not_flowing_again")
-    assert {name: summary[name] for name in judged} == dict.fromkeys(judged, 0)
-    assert summary["settled"] and summary["receipted"] > 0
-    with (tmp_path / "seconds.csv").open(newline="") as file:
-        assert len(list(csv.DictReader(file))) > 5
-    with (tmp_path / "memory.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    processes = {"server", "router-a", "router-b", "r1", "r2", "r3", "desk"}
-    assert {row["process"] for row in rows if float(row["mb"]) > 0} == processes
-    assert (tmp_path / "soak.png").stat().st_size > 10_000
