@@ -10,8 +10,8 @@ from fleetpose.protocol.messages import Alarm
 log = logging.getLogger("pose_server")
 
 LEAST_POINTS = 30
-"""Salient points with depth: with fewer, of which some are wrong and few are shared, an alignment
-has hardly the dozen inliers that it needs."""
+"""Points with depth: with fewer, of which some are wrong and few are shared, an alignment has
+hardly the dozen inliers that it needs, and an operator hardly anything to click at."""
 _LEFT = 0.1  # of what the robot's own keyframes have
 
 
@@ -38,7 +38,7 @@ def note_blind(site: Site, robot: Robot, view: KeptView) -> None:
         said = text if is_blind else f"{robot.name} sees enough that has depth again"
         site.say(said)
         log.warning("blind robot=%s text=%s", robot.name, said)
-    robot.blind = text if is_blind else ""
+    robot.note_blind(text if is_blind else "")
 
 
 def blind_alarms(site: Site) -> tuple[Alarm, ...]:

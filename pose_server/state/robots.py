@@ -98,6 +98,10 @@ class Robot:
         self.camera, self.stamp_ns = view.camera, view.stamp_ns
         self.changes += changes
 
+    def note_blind(self, text: str) -> None:
+        """Its newest view has hardly any depth, as the text says; or has again, if it is empty."""
+        self.blind = text
+
     def stand_since(self, view: KeptView) -> None:
         """It has stood still and seen the same since a view."""
         self.stood = view

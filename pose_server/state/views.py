@@ -43,7 +43,8 @@ class KeptView:
         frozen_s: for how long the robot's camera has given the same image, to the last bit.
         on_way_s: that the robot's view before it took to arrive.
         share: of its salient points that the robot sent.
-        depth_points: how many of these that came have depth, of those it would have sent all.
+        depth_points: how many salient points have depth, had all come; or points of a glance at the
+            cloud, if those are more.
     """
 
     name: ViewName
@@ -127,7 +128,7 @@ def open_view(
         frozen_s=view.frozen_s,
         on_way_s=view.on_way_s,
         share=view.share,
-        depth_points=round(len(with_depth) / max(view.share, 1e-3)),
+        depth_points=max(round(len(with_depth) / max(view.share, 1e-3)), len(points.xyz)),
     )
 
 

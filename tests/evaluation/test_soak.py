@@ -174,6 +174,7 @@ def test_a_relay_passes_everything_on_holds_back_what_a_slow_link_would_and_cuts
             there.settimeout(20)
             relay.cut()
             assert ends(there)
+        assert wait_until(lambda: not relay.passing, 20)
         relay.bytes_per_s = None
         with socket.create_connection(("127.0.0.1", relay.ports["a"]), timeout=20) as there:
             there.sendall(b"again")

@@ -17,7 +17,12 @@ from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.workers.jobs import Done
-from fleetpose.protocol.clouds import decode_salient, encode_salient
+from fleetpose.protocol.clouds import (
+    decode_salient,
+    decode_scattered,
+    encode_salient,
+    encode_scattered,
+)
 from fleetpose.protocol.messages import Odometry, RobotState, View, ViewName
 from fleetpose.robot_agent.features.keypoints import EXTRACTOR
 from tests.pose_server.scene import EPOCH, descriptors, turned, view, walls
@@ -188,11 +193,15 @@ def test_a_robot_that_loses_nearly_all_its_depth_is_named_and_not_asked_about():
     left = np.where(np.arange(usual) % 33, np.nan, points.inverse_depth).astype(np.float32)
     few = encode_salient(replace(points, inverse_depth=left), EXTRACTOR)
     receive(site, seen("r2", 1).model_copy(update={"salient": few}))
+    assert ("r2", "blind") not in alarms(site), "its cloud has enough to click at"
+    uv, z = decode_scattered(seen("r2", 2).cloud)
+    thin = encode_scattered(uv[::33], z[::33], 1e-3)
+    receive(site, seen("r2", 2).model_copy(update={"salient": few, "cloud": thin}))
     assert ("r2", "blind") in alarms(site)
     (alarm,) = (one for one in blind_alarms(site) if one.robot == "r2")
     assert f"({np.isfinite(left).sum()} points where its keyframes have up to" in alarm.text
     assert not any("r2" in (q.i, q.j) for q in questions(site))
-    receive(site, seen("r2", 2))
+    receive(site, seen("r2", 3))
     assert ("r2", "blind") not in alarms(site)
     assert sum("hardly anything" in event for event in site.events) == 1
 

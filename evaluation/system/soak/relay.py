@@ -35,6 +35,11 @@ class Relay:
         self._servers: list[asyncio.Server] = []
         self.ports = {name: self._listen(port) for name, port in routers.items()}
 
+    @property
+    def passing(self) -> int:
+        """How many connections stand."""
+        return len(self._passing)
+
     def cut(self) -> None:
         """Ends the connections that stand; new ones are passed on."""
         self._loop.call_soon_threadsafe(self._cut)
@@ -46,7 +51,9 @@ class Relay:
             for server in self._servers:
                 server.close()
             self._cut()
-            await asyncio.wait_for(asyncio.gather(*self._passing), _WITHIN_S)
+            await asyncio.wait_for(
+                asyncio.gather(*self._passing, return_exceptions=True), _WITHIN_S
+            )
 
         asyncio.run_coroutine_threadsafe(end(), self._loop).result()
         self._loop.call_soon_threadsafe(self._loop.stop)
@@ -80,9 +87,11 @@ class Relay:
             with self._known(to_router):
                 ways = ((reader, to_router), (from_router, writer))
                 pumps = [self._loop.create_task(self._pump(*way)) for way in ways]
-                await asyncio.wait(pumps, return_when=asyncio.FIRST_COMPLETED)
-                for pump in pumps:
-                    pump.cancel()
+                try:
+                    await asyncio.wait(pumps, return_when=asyncio.FIRST_COMPLETED)
+                finally:
+                    for pump in pumps:
+                        pump.cancel()
                 await asyncio.gather(*pumps, return_exceptions=True)
 
     async def _pump(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -104,3 +113,5 @@ class Relay:
     def _cut(self) -> None:
         for writer in self._open:
             writer.transport.abort()
+        for task in self._passing:  # one that holds back what came does not see the end of it
+            task.cancel()
