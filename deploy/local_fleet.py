@@ -163,6 +163,10 @@ class LocalFleet:
         child.process.kill()
         child.process.wait()
 
+    def signal(self, name: str, what: str) -> None:
+        """Sends a signal, by its name, to one process."""
+        self._children[name].process.send_signal(signal.Signals[what])
+
     def stop(self, name: str) -> None:
         """Ends one process and its children: SIGTERM, after 3 s SIGKILL."""
         self._end([self._children[name]])

@@ -105,7 +105,7 @@ def receive_token(site: Site, name: str, epoch: str, alive: bool) -> None:
     robot = site.newcomer(name) if alive else site.robot(name)
     was = robot.epoch
     robot.note_token(epoch, alive)
-    if robot.epoch is None and robot.newest is None:
+    if robot.epoch is None and robot.newest is None and not site.has_of(name):
         site.forget_robot(name)
     if robot.epoch != was:
         site.say(f"{name} is here" if robot.epoch else f"{name} is gone")

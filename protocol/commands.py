@@ -4,13 +4,13 @@ What a user can mend is one sentence and an exit code; anything else is a bug wi
 """
 
 import sys
-from importlib.metadata import version
 from importlib.util import find_spec
 from typing import Annotated
 
 import typer
 
 from fleetpose.protocol.errors import FleetPoseError, UnreachableError
+from fleetpose.protocol.text import release
 
 REFUSED = 2  # exit code of bad input and of what is not installed
 MODULES = {  # that an extra brings, as they are imported; Open3D is done without where it fails
@@ -80,7 +80,7 @@ def _end(name: str, sentence: str, code: int) -> None:
 
 def _print_version(context: typer.Context, asked: bool) -> None:
     if asked:
-        typer.echo(f"{context.find_root().info_name} {version('fleetpose')}")
+        typer.echo(f"{context.find_root().info_name} {release()}")
         raise typer.Exit
 
 

@@ -1,4 +1,13 @@
-"""Texts from elsewhere, made fit for a log line and a terminal."""
+"""Texts of messages and logs: the release, and what came from elsewhere, made fit for a line."""
+
+from functools import cache
+from importlib.metadata import version
+
+
+@cache
+def release() -> str:
+    """The version of the installed package, read once: its files take milliseconds."""
+    return version("fleetpose")
 
 
 def one_line(text: str, at_most: int = 2000) -> str:

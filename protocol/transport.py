@@ -161,14 +161,15 @@ class Link:
         self._declared.append(queries)
         queries.start()
 
-    def query(self, selector: str, timeout_s: float = 3.0) -> Sample:
-        """Asks for one answer.
+    def query(self, selector: str, timeout_s: float = 3.0, background: bool = False) -> Sample:
+        """Asks for one answer; with `background` the answer is never in the way of anything else.
 
         Raises:
             UnreachableError: nobody answered, or the answer was an error, whose text it carries.
         """
         reason = "nobody answered (not there, or not allowed)"
-        for reply in self.session.get(selector, timeout=timeout_s):
+        priority = zenoh.Priority.BACKGROUND if background else None
+        for reply in self.session.get(selector, timeout=timeout_s, priority=priority):
             if reply.ok is not None:
                 return _detached(reply.ok)
             if reply.err is not None:

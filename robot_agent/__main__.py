@@ -18,7 +18,11 @@ app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_
 
 Calibration = Annotated[
     Path | None,
-    typer.Option(help="Stereo: stereo.json, OpenCV yml/xml, Kalibr yaml. [default: beside images]"),
+    typer.Option(help="Stereo: of OpenCV, Kalibr, ROS, ORB-SLAM ... [default: beside images]"),
+]
+Unit = Annotated[
+    float | None,
+    typer.Option(help="Metres that one of the calibration's translation is. [default: 1]"),
 ]
 Size = Annotated[
     str | None, typer.Option(help="Devices: WIDTHxHEIGHT, both eyes where side by side.")
@@ -73,6 +77,7 @@ def run(
 def calibrate_check(
     data: Annotated[str, typer.Option(help="Folder, video, or device; or left,right.")],
     calibration: Calibration = None,
+    translation_unit: Unit = None,
     size: Size = None,
     fps: Fps = None,
     fourcc: Fourcc = None,
@@ -102,16 +107,37 @@ def calibrate_check(
     log_to_stderr(logging.WARNING)
     video = video_settings(size, fps, fourcc, 10.0 if max_skew_ms is None else max_skew_ms)
     options = CheckOptions(
-        data, calibration, video, pairs, interval, length, board, points, save, as_json
+        *(data, calibration, video, pairs, interval, length, board, points, save, as_json),
+        translation_unit,
     )
     raise typer.Exit(run(options))
 
 
+@app.command()
+def inspect(
+    source: Annotated[str, typer.Argument(help="Folder, file, or device; or left,right.")],
+    calibration: Calibration = None,
+    translation_unit: Unit = None,
+    depth_scale: Annotated[
+        float | None, typer.Option(help="Steps of depth images per metre.")
+    ] = None,
+    clouds: Annotated[str | None, typer.Option(help="Posed views: which kind of clouds.")] = None,
+) -> None:
+    """Says what a folder, a file or a device is, what is understood of it, and how to run it."""
+    from fleetpose.robot_agent.checking import inspection
+
+    logging.getLogger("fleetpose").propagate = False  # what readers warn of is printed as notes
+    found = inspection.inspect(source, calibration, translation_unit, depth_scale, clouds)
+    for line in found.lines(source):
+        typer.echo(line)
+    _leave()
+
+
 def _leave() -> None:
-    """Ends at once where a view is still being worked on or waited for: the interpreter must not
-    pull the rug from under OpenCV, and nobody waits for that view any more.
+    """Ends at once where a view is still being worked on or waited for, or the network is asked:
+    the interpreter must not pull the rug from under OpenCV or zenoh, and nobody waits for it.
     """
-    busy = ("sender ", "reader ")
+    busy = ("sender ", "reader ", "silence")
     if any(thread.name.startswith(busy) for thread in threading.enumerate()):
         logging.shutdown()
         os._exit(0)

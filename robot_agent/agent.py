@@ -12,8 +12,10 @@ import cv2
 from fleetpose.protocol.errors import EndedError
 from fleetpose.protocol.session.supervisor import Supervisor
 from fleetpose.protocol.transport import SessionSettings
+from fleetpose.robot_agent.cameras.base import Frame
 from fleetpose.robot_agent.cameras.factory import open_camera
 from fleetpose.robot_agent.cameras.stereo.video import video_settings
+from fleetpose.robot_agent.cameras.understood import understood_of
 from fleetpose.robot_agent.client import FleetRobot
 from fleetpose.robot_agent.hearing import UNHEARD_S
 from fleetpose.robot_agent.sender import SenderSettings
@@ -46,6 +48,8 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
         calibration=settings.calibration,
         video=video_settings(settings.size, settings.fps, settings.fourcc, settings.max_skew_ms),
         stop=stop,
+        translation_unit=settings.translation_unit,
+        depth_scale=settings.depth_scale,
     )
     try:
         systemd.ready()
@@ -73,7 +77,9 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
             def between() -> None:
                 systemd.alive(_status(robot))
 
+            sight = _Sight(robot.name)
             for frame in paced(camera.frames(), settings.rate_hz, stop, between):
+                sight.log(frame)
                 robot.push_frame(frame)
                 heard.log()
             if not stop.is_set():
@@ -96,6 +102,30 @@ def _status(robot: FleetRobot) -> str:
     if (unheard_s := robot.unheard_s) > UNHEARD_S:
         return f"not heard for {10 * (unheard_s // 10):.0f} s or more"
     return "starting" if robot.heard_age_s is None else "heard"
+
+
+class _Sight:
+    """Logs what is understood of the camera: of the first frame all, later when depth goes thin,
+    and when it is back.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._thin: bool | None = None
+
+    def log(self, frame: Frame) -> None:
+        seen = understood_of(frame)
+        if seen.is_thin == self._thin:
+            return
+        if self._thin is None or not seen.is_thin:
+            log.info("understood name=%s %s", self._name, seen)
+        if seen.is_thin:
+            log.warning(
+                "hardly any depth name=%s %s: is a lens dark or covered, is an eye frozen, has a "
+                "camera moved (robot-agent calibrate-check), or is there only a blank wall?",
+                *(self._name, seen),
+            )
+        self._thin = seen.is_thin
 
 
 class _Told:

@@ -11,6 +11,7 @@ robot.close()
 import logging
 import time
 from dataclasses import replace
+from functools import partial
 from types import TracebackType
 from typing import Self
 
@@ -23,6 +24,7 @@ from fleetpose.protocol.errors import CalibrationError, CodecError, UnreachableE
 from fleetpose.protocol.keys import EVERY_SERVER, Keys, checked_name, new_epoch, site_of
 from fleetpose.protocol.messages import Camera, Odometry, RelativePose, RobotPose, ViewName, WhyNot
 from fleetpose.protocol.presence import LiveServer, Presence
+from fleetpose.protocol.session.echo import fault_behind_tls
 from fleetpose.protocol.transport import Link, SessionSettings, open_session
 from fleetpose.robot_agent.cameras.base import (
     DepthImage,
@@ -110,7 +112,12 @@ class FleetRobot:
             self._link.close()
             self._poses.close()
             raise
-        self._silence = SilenceWatch(self._sender.unheard_s, self._why_unheard)
+        self._silence = SilenceWatch(
+            self._sender.unheard_s,
+            lambda: self._link.connected,
+            self._why_unheard,
+            partial(fault_behind_tls, session.config_file),
+        )
         self._silence.start()
         if camera is not None:
             self._sender.announce(camera)
@@ -241,7 +248,7 @@ class FleetRobot:
         there, that is what it says.
         """
         if not self.server_alive:
-            return self._no_server() + self._elsewhere()
+            return self._absent()
         try:
             answer = self._link.query(f"{self._keys.why}?robot={self.name}", timeout_s)
             told = unpack(WhyNot, answer.payload, answer.encoding)
@@ -249,9 +256,14 @@ class FleetRobot:
             return str(error)
         return "; ".join(sentence for sentence in (told.why_not, *told.alarms) if sentence)
 
+    def _absent(self) -> str:
+        """Why no server is seen, though a router may be reached."""
+        fault = fault_behind_tls(self._session.config_file) if self._link.connected else ""
+        return fault or self._no_server() + self._elsewhere()
+
     def _no_server(self) -> str:
         if not self._link.connected:
-            return "no router is reached: what is sent is lost until one is"
+            return "no router is reached; what is sent is lost until one is"
         site = self._keys.site
         secured = self._session.config_file is not None
         rules = " Do the router's rules know this robot's certificate?" if secured else ""
@@ -292,7 +304,7 @@ class FleetRobot:
             why = self._session.configuration().why_unreachable()
             return self._no_server() + (f" ({why})" if why else "")
         if not self.server_alive:
-            return self._no_server() + self._elsewhere()
+            return self._absent()
         heard = self._hearing.newest
         if heard is None:
             try:

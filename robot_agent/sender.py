@@ -2,7 +2,8 @@
 
 A frame waits in a slot for one; a newer one takes its place. So the robot's program never waits,
 neither for the computer nor for the network, and what is sent is the newest there is. One view at a
-time is on its way, and holds what the link carries within a second.
+time is on its way, and holds what the link carries within a second; the next one is made ready
+meanwhile.
 """
 
 import logging
@@ -10,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import version
 
 from fleetpose.protocol.codec import encoding_of, pack
 from fleetpose.protocol.errors import FleetPoseError
@@ -23,11 +23,12 @@ from fleetpose.protocol.messages import (
     View,
     ViewName,
 )
-from fleetpose.protocol.transport import ENCODING_JPEG, Link
+from fleetpose.protocol.text import release
+from fleetpose.protocol.transport import ENCODING_JPEG, Answer, Link
 from fleetpose.robot_agent.cameras.base import Frame
 from fleetpose.robot_agent.features.keypoints import salient_of
 from fleetpose.robot_agent.features.packing import view_of
-from fleetpose.robot_agent.on_way import OnWay
+from fleetpose.robot_agent.on_way import SLOW_S, OnWay
 from fleetpose.robot_agent.recent_views import JPEG_QUALITY, KeptViews, kept_view
 
 log = logging.getLogger(__name__)
@@ -82,16 +83,17 @@ class Sender:
         self._image = link.bulk(keys.image(name), background=True)
         self._kept = KeptViews(epoch, self._settings.keep_views)
         self._on_way = OnWay()
+        self._encode_s = 0.0  # what the last view took to be made ready
         self._listens = listens
         self._announced: Camera | None = None
-        self._sent: tuple[Frame, KeptView] | None = None
+        self._made: tuple[Frame, KeptView] | None = None
         self._changed = threading.Condition()
         self._slot: tuple[ViewName, Frame] | None = None
         self._busy = False
         self._closed = False
         self._failure: Exception | None = None
         self.dropped = 0
-        link.queryable(keys.view(name), self._kept.answer)
+        link.queryable(keys.view(name), self._answer)
         self._thread = threading.Thread(target=self._run, name=f"sender {name}", daemon=True)
         self._thread.start()
 
@@ -104,7 +106,7 @@ class Sender:
             camera=camera,
             rate_hz=self._settings.rate_hz,
             capabilities=CAPABILITIES,
-            version=version("fleetpose"),
+            version=release(),
         )
         self._announcement.put(pack(announcement), encoding_of(CameraAnnouncement))
 
@@ -114,8 +116,7 @@ class Sender:
             if self._failure is not None:
                 raise self._failure
             if self._slot is not None:
-                self.dropped += 1
-                log.info("view dropped name=%s reason=newer", self._slot[0])
+                self._note_dropped(self._slot[0])
             self._slot = (name, frame)
             self._changed.notify_all()
 
@@ -160,7 +161,11 @@ class Sender:
     def _run(self) -> None:
         while (job := self._next()) is not None:
             try:
-                self._publish(*job)
+                kept = self._make_ready(*job)
+                if self._wait_for_link():
+                    self._publish(kept)
+                elif not self._closed:
+                    self._note_dropped(kept.view.name)
             except FleetPoseError as error:
                 self.dropped += 1
                 log.warning("view dropped name=%s reason=%s", job[0], error)
@@ -175,7 +180,7 @@ class Sender:
             self._busy = False
             self._changed.notify_all()
             while not self._closed:
-                wait_s = self._may_go_in_s()
+                wait_s = self._begins_in_s()
                 if wait_s == 0.0:
                     job, self._slot = self._slot, None
                     self._busy = True
@@ -183,34 +188,64 @@ class Sender:
                 self._changed.wait(wait_s)
             return None
 
-    def _may_go_in_s(self) -> float | None:
-        """In how long the frame that waits may go, as far as is known now; None without one."""
+    def _begins_in_s(self) -> float | None:
+        """In how long the frame that waits is to be made ready, as far as is known now: so that it
+        is when the link is free, and no sooner. None without one.
+        """
         if self._slot is None:
             return None
         self._on_way.waits = self._listens()
-        return self._on_way.free_in_s(time.monotonic())
+        now_s = time.monotonic()
+        self._on_way.note_overdue(now_s)
+        return self._on_way.expected_free_in_s(now_s + self._encode_s)
 
-    def _publish(self, name: ViewName, frame: Frame) -> None:
+    def _wait_for_link(self) -> bool:
+        """Waits until the link is free for what is ready; false if a newer frame came before, or
+        the end.
+        """
+        with self._changed:
+            while not self._closed:
+                self._on_way.waits = self._listens()
+                wait_s = self._on_way.free_in_s(time.monotonic())
+                if wait_s == 0.0:
+                    return True
+                if self._slot is not None:
+                    return False
+                self._changed.wait(wait_s)
+            return False
+
+    def _note_dropped(self, name: ViewName) -> None:
+        self.dropped += 1
+        log.info("view dropped name=%s reason=newer", name)
+
+    def _make_ready(self, name: ViewName, frame: Frame) -> KeptView:
         start_s = time.monotonic()
         if self._announced is None or pack(self._announced) != pack(frame.model):
             self.announce(frame.model)
         kept = self._again(name, frame) or self._encoded(name, frame)
-        self._sent = frame, kept
+        self._made = frame, kept
+        self._encode_s = time.monotonic() - start_s
+        return kept
+
+    def _publish(self, kept: KeptView) -> None:
+        took_s = self._of_link()["on_way_s"]  # of the view before, which was on its way just now
+        view = kept.view.model_copy(update={"on_way_s": took_s})
+        kept = kept.model_copy(update={"view": view})
         self._kept.keep(kept)
-        view, payload = kept.view, pack(kept.view)
-        encoded_s = time.monotonic()
+        payload = pack(view)
+        put_s, size = time.monotonic(), len(payload)
         with self._changed:
-            self._on_way.sent(name.seq, encoded_s, len(view.salient.data) / len(payload))
+            self._on_way.sent(view.name.seq, put_s, size, len(view.salient.data) / size)
         self._cloud.put(payload, encoding_of(View))
         image_bytes = self._publish_image(kept)
         log.info(
             "view name=%s salient=%d bytes=%d image_bytes=%d encode_ms=%.1f put_ms=%.1f",
-            name,
+            view.name,
             view.salient.count,
-            len(payload),
+            size,
             image_bytes,
-            1e3 * (encoded_s - start_s),
-            1e3 * (time.monotonic() - encoded_s),
+            1e3 * self._encode_s,
+            1e3 * (time.monotonic() - put_s),
         )
 
     def _encoded(self, name: ViewName, frame: Frame) -> KeptView:
@@ -228,9 +263,9 @@ class Sender:
         """The last view under a new name and stamp, where nothing in sight has changed since, and
         the link carries as much as then.
         """
-        if self._sent is None:
+        if self._made is None:
             return None
-        before, kept = self._sent
+        before, kept = self._made
         of_link = self._of_link()
         if frame.ranges is not before.ranges or frame.model is not before.model:
             return None
@@ -242,8 +277,22 @@ class Sender:
         header = ImageHeader(view=name, stamp_ns=frame.stamp_ns)
         return kept.model_copy(update={"view": view, "image": header})
 
+    def _answer(self, parameters: dict[str, str]) -> Answer:
+        """What of the last views is asked for, unless it would hold up the next ones: who asks does
+        not wait that long anyway.
+        """
+        answer = self._kept.answer(parameters)
+        with self._changed:
+            takes_s = self._on_way.takes_s(len(answer.payload))
+        if takes_s > SLOW_S:
+            return Answer(error=f"the link is slow: it would take {takes_s:.1f} s and more")
+        return answer
+
     def _publish_image(self, kept: KeptView) -> int:
         if not self._image.wanted or kept.jpeg is None or kept.image is None:
             return 0
+        with self._changed:
+            if not self._on_way.image_may_go(len(kept.jpeg), time.monotonic()):
+                return 0
         self._image.put(kept.jpeg, ENCODING_JPEG, attachment=pack(kept.image))
         return len(kept.jpeg)

@@ -37,7 +37,19 @@ class RobotSettings(ProcessSettings):
         description="rgbd, views, reconstruction, cloud, stereo or synthetic"
     )
     data: str = Field("", description="folder, video, device (or left,right), or endpoint")
-    calibration: Path | None = Field(None, description="stereo: file; else beside the images")
+    calibration: Path | None = Field(None, description="stereo, rgbd: file; else beside the images")
+    translation_unit: float | None = Field(
+        None,
+        gt=0,
+        le=1000,
+        description="stereo: metres that one of the calibration's translation is; else metres",
+    )
+    depth_scale: float | None = Field(
+        None,
+        gt=0,
+        le=1e6,
+        description="rgbd: steps of the depth images per metre; else what the layout says",
+    )
     size: Annotated[str, Field(pattern=r"^[1-9]\d{1,4}x[1-9]\d{1,4}$")] | None = Field(
         None, description="devices: WIDTHxHEIGHT of the images, both eyes where side by side"
     )

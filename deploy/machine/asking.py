@@ -5,11 +5,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from fleetpose.deploy.machine.bundle import configuration_of, read_bundle
-from fleetpose.deploy.machine.echo import running_rules
 from fleetpose.deploy.machine.install import plan_install
-from fleetpose.deploy.machine.tls import probe
+from fleetpose.deploy.machine.installed import tls_files
+from fleetpose.deploy.machine.running import running_rules
 from fleetpose.deploy.manifest import CONFIGURATION
 from fleetpose.protocol.errors import UnreachableError
+from fleetpose.protocol.session.probe import why_refused
 
 
 def rules_of_router(path: Path, name: str, ask_password: Callable[[], str]) -> str:
@@ -23,8 +24,6 @@ def rules_of_router(path: Path, name: str, ask_password: Callable[[], str]) -> s
     Raises:
         UnreachableError: there is no such router, or it does not answer, and why.
     """
-    import time
-
     bundle = read_bundle(path, ask_password)
     routers = {router.name: router for router in bundle.manifest.routers}
     if name not in routers:
@@ -37,7 +36,7 @@ def rules_of_router(path: Path, name: str, ask_password: Callable[[], str]) -> s
         )
         told = running_rules(configuration, routers[name])
         if told is None:
-            why = probe(routers[name], plan.folder, time.time()).error
+            why = why_refused(routers[name].endpoint, tls_files(plan.folder))
             raise UnreachableError(
                 f"router {name}: {why or 'it does not tell what it runs: are its rules older?'}"
             )

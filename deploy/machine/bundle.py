@@ -26,8 +26,9 @@ from fleetpose.deploy.manifest import (
 )
 from fleetpose.deploy.private_files import readable_by_others, write_file
 from fleetpose.deploy.sealing import is_sealed, opened
+from fleetpose.protocol.session.echo import CLOCKS_DIFFER_S
 
-CLOCKS_DIFFER = timedelta(minutes=5)
+CLOCKS_DIFFER = timedelta(seconds=CLOCKS_DIFFER_S)
 
 
 @dataclass(frozen=True)

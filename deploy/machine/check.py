@@ -5,10 +5,9 @@ is broken ends the steps that need it.
 import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from enum import IntEnum
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 
 from fleetpose.deploy.errors import BundleError
@@ -19,11 +18,14 @@ from fleetpose.deploy.machine.bundle import (
     key_fits,
     metadata_of,
 )
-from fleetpose.deploy.machine.echo import Echo, echo, running_rules
-from fleetpose.deploy.machine.installed import Installed, installed_in
-from fleetpose.deploy.machine.tls import Probed, probe
+from fleetpose.deploy.machine.installed import Installed, installed_in, tls_files
+from fleetpose.deploy.machine.running import running_rules
 from fleetpose.deploy.manifest import CA, CERTIFICATE, CONFIGURATION, KEY, RouterAddress
 from fleetpose.deploy.private_files import readable_by_others
+from fleetpose.protocol.session.echo import Echo, clock_fault, echo, unknown_to_rules
+from fleetpose.protocol.session.identity import Identity
+from fleetpose.protocol.session.probe import Probed, probe
+from fleetpose.protocol.text import release
 
 SOON_DAYS = 14.0
 FILES = (CA, CERTIFICATE, KEY, CONFIGURATION)
@@ -81,14 +83,15 @@ def check(folder: Path, quick: bool = False, clock: Clock = utc_now) -> Iterator
     yield from here
     if here[0].state is State.BROKEN:
         return
-    echoes = []
+    who = installed.who
+    member, echoes = Identity(installed.manifest.site, who.role, who.name), []
     for router in installed.manifest.routers:
-        probed = probe(router, folder, clock().timestamp())
+        probed = probe(router.endpoint, tls_files(folder), clock().timestamp())
         yield _router(router, probed)
-        if probed.error is None and not quick:
-            echoes.append(echo(configuration, installed.manifest.site, installed.who, router))
+        if not probed.error and not quick:
+            echoes.append(echo(configuration, member, [router.endpoint]))
             yield _session(installed, router, echoes[-1], clock())
-            if installed.who.role == "router" and installed.who.name == router.name:
+            if who.role == "router" and who.name == router.name:
                 yield _rules(configuration, running_rules(configuration, router))
     if any(one.heard for one in echoes):
         yield _server(any(one.server for one in echoes))
@@ -185,7 +188,7 @@ def _of_settings(path: Path, installed: Installed) -> tuple[str, str]:
 
 
 def _version(installed: Installed) -> Step:
-    here, made = version("fleetpose"), installed.manifest.fleetpose
+    here, made = release(), installed.manifest.fleetpose
     if here.split(".")[:2] != made.split(".")[:2]:
         return soon(
             "version",
@@ -196,7 +199,7 @@ def _version(installed: Installed) -> Step:
 
 def _router(router: RouterAddress, probed: Probed) -> Step:
     name, where = f"router {router.name}", f"{router.host}:{router.port}"
-    if probed.error is not None:
+    if probed.error:
         return broken(name, text=f"{where}: {probed.error}")
     if probed.days_left is not None and probed.days_left < SOON_DAYS:
         return soon(
@@ -212,15 +215,9 @@ def _session(installed: Installed, router: RouterAddress, heard: Echo, now: date
     if not heard.connected:
         return broken(name, text="TLS works, but no zenoh router answers: is it another program?")
     if not heard.heard:
-        return broken(
-            name,
-            text=f"its rules do not know {who.common_name}: install rules/router-{router.name}"
-            ".json5 there and restart it, or ask whether this machine was revoked",
-        )
-    if heard.router_s is not None:
-        off = now - datetime.fromtimestamp(heard.router_s, UTC)
-        if abs(off) > CLOCKS_DIFFER:
-            return broken(name, text=f"this machine's clock is {_words(off)} the router's: set it")
+        return broken(name, text=unknown_to_rules(who.common_name, router.name))
+    if fault := clock_fault(heard.router_s, now.timestamp()):
+        return broken(name, text=fault)
     return ok(name, text="its rules let this machine say and hear what it may")
 
 
@@ -228,12 +225,6 @@ def _server(alive: bool) -> Step:
     if not alive:
         return soon("server", text="the site has no pose server now: is 'pose-server run' running?")
     return ok("server", text="a pose server of the site is there")
-
-
-def _words(off: timedelta) -> str:
-    seconds = abs(off.total_seconds())
-    size = f"{seconds / 86400:.1f} days" if seconds > 86000 else f"{seconds / 60:.0f} minutes"
-    return f"{size} {'ahead of' if off > timedelta() else 'behind'}"
 
 
 def _rules(configuration: dict[str, object], running: dict[str, str] | None) -> Step:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fleetpose.deploy.errors import BundleError
 from fleetpose.deploy.identity import Identity
-from fleetpose.deploy.manifest import MANIFEST, Manifest, manifest_of
+from fleetpose.deploy.manifest import CA, CERTIFICATE, KEY, MANIFEST, Manifest, manifest_of
 
 DEFAULT_ROOT = Path("/etc/fleetpose")
 
@@ -21,6 +21,15 @@ class Installed:
     @property
     def who(self) -> Identity:
         return self.manifest.identity
+
+
+def tls_files(folder: Path) -> dict[str, str | None]:
+    """What a folder's owner shows to routers and trusts, as zenoh's `transport/link/tls` has it."""
+    return {
+        "root_ca_certificate": str(folder / CA),
+        "connect_certificate": str(folder / CERTIFICATE),
+        "connect_private_key": str(folder / KEY),
+    }
 
 
 def installed_in(folder: Path) -> Installed:

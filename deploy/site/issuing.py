@@ -4,7 +4,6 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from fleetpose.deploy.site.configuration import (
 from fleetpose.deploy.site.folder import HEALTH, Site, SiteFolder
 from fleetpose.deploy.site.limits import limits
 from fleetpose.deploy.site.rules import access_control
+from fleetpose.protocol.text import release
 
 DAYS = 90.0
 
@@ -203,7 +203,7 @@ class Keeper:
             routers=self.folder.site.addresses(),
             ca_sha256=self._authority.fingerprint,
             certificate_sha256=issued.der_sha256,
-            fleetpose=version("fleetpose"),
+            fleetpose=release(),
         )
 
     def _configuration(self, who: Identity) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from fleetpose.protocol.messages import (
     ViewName,
 )
 from fleetpose.robot_agent.cameras.base import DepthImage, Frame, ScatteredPoints
-from fleetpose.robot_agent.cameras.folders.rgbd import KINECT_NOISE
+from fleetpose.robot_agent.cameras.rgbd.recording import KINECT_NOISE
 from fleetpose.robot_agent.features.keypoints import salient_points
 from fleetpose.robot_agent.features.packing import cloud_of, view_of
 

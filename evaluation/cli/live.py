@@ -93,7 +93,9 @@ def field(options: FieldOptions, out: Out) -> None:
 
     --attacks: how many attacks passed, and the share that the router named by certificate and key.
     --silent: of ten causes, how many the agent and `pose-deploy check` name. --rotate, --kills: how
-    long receipts of clicks stayed away, and what was lost or doubled.
+    long receipts of clicks stayed away, and what was lost or doubled. --radio: how many robots are
+    located behind a poor radio link, how old their poses are and how long clicks wait, with reno
+    and with bbr; it skips, with a word, where there is no TUN or no network namespace.
     """
     from fleetpose.evaluation.system.field.command import run
 

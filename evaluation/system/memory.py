@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -39,16 +40,19 @@ class Memory:
 
 def resident_mb(pid: int) -> float:
     """Of a process and all processes under it; 0 for one that is gone."""
+    return sum(family_mb(pid).values())
+
+
+def family_mb(pid: int) -> dict[int, float]:
+    """Of a process and of each process under it, by their ids; those that are gone, or end while
+    they are looked at, are left out.
+    """
     import psutil
 
-    total = 0
-    try:
+    found = {}
+    with suppress(psutil.Error):
         process = psutil.Process(pid)
         for member in (process, *process.children(recursive=True)):
-            try:
-                total += member.memory_info().rss
-            except psutil.NoSuchProcess:
-                continue
-    except psutil.NoSuchProcess:
-        return 0.0
-    return total / _MB
+            with suppress(psutil.Error):
+                found[member.pid] = member.memory_info().rss / _MB
+    return found

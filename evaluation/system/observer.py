@@ -98,6 +98,11 @@ class _Arrivals(Slots):
 class Observer:
     """Subscribes to all that robots and server publish. All attributes may be read from any thread.
 
+    Args:
+        link: the evaluation's own session; it must outlive this, as must the next.
+        keys: of the site.
+        as_server: a session that hears views and tokens where rules keep them from the other one.
+
     Attributes:
         located_counts: (time, number of robots located) at every change of that number.
         view_to_pose_s: per view, from its arrival here to that of the first pose as new as it.
@@ -107,7 +112,7 @@ class Observer:
         views_overtaken: how many were left out.
     """
 
-    def __init__(self, link: Link, keys: Keys) -> None:
+    def __init__(self, link: Link, keys: Keys, as_server: Link | None = None) -> None:
         self.link, self.keys = link, keys
         self._arrivals = _Arrivals()
         self._lock = threading.Lock()
@@ -128,7 +133,7 @@ class Observer:
         self.views_overtaken = 0
         self.view_sizes: list[int] = []
         self.undecodable = 0
-        self._subscribe(link)
+        self._subscribe(link, as_server or link)
         self._thread = threading.Thread(target=self._run, name="observer", daemon=True)
         self._thread.start()
 
@@ -173,6 +178,18 @@ class Observer:
             times = (at_s for at_s, robot in reversed(self.pose_arrivals) if robot in robots)
             return _first_after(times, since_s)
 
+    def longest_pose_gap_s(self, robot: str, since_s: float, until_s: float) -> float:
+        """The longest time without a new pose of a robot within a stretch, ends included."""
+        with self._lock:
+            backward = itertools.takewhile(lambda one: one[0] > since_s, self.pose_arrivals[::-1])
+            times = [at_s for at_s, of in backward if of == robot and at_s < until_s]
+        return max(b - a for a, b in itertools.pairwise((since_s, *reversed(times), until_s)))
+
+    def lives(self, robot: str) -> set[str]:
+        """Epochs of a robot whose token is there."""
+        with self._lock:
+            return {key.rsplit("/", 1)[-1] for key in self._alive if f"/robot/{robot}/" in key}
+
     def alive_robots(self) -> int:
         """Robots whose token is there."""
         with self._lock:
@@ -186,13 +203,13 @@ class Observer:
         with self._lock:
             return {key.rsplit("/", 1)[-1] for key in self._alive if "/server/" in key}
 
-    def _subscribe(self, link: Link) -> None:
+    def _subscribe(self, link: Link, as_server: Link) -> None:
         keys = self.keys
-        self._clouds = link.subscribe_bulk(keys.cloud("*"), self._arrivals.store)
+        self._clouds = as_server.subscribe_bulk(keys.cloud("*"), self._arrivals.store)
         for key in (keys.poses, keys.state, keys.status, keys.alignment("*", "*")):
             link.on_latched(key, self._arrivals.store)
         for key in (keys.robot_alive("*", "*"), keys.server_alive("*")):
-            link.on_alive(key, self._note_alive)
+            as_server.on_alive(key, self._note_alive)
 
     def _note_alive(self, key: str, alive: bool) -> None:
         with self._lock:

@@ -37,8 +37,8 @@ class RecordedLink(Link):
     def subscribe_bulk(self, key: str, store: Callable[[Sample], None]) -> Any:
         return super().subscribe_bulk(key, self._noting(store))
 
-    def query(self, selector: str, timeout_s: float = 3.0) -> Sample:
-        answer = super().query(selector, timeout_s)
+    def query(self, selector: str, timeout_s: float = 3.0, background: bool = False) -> Sample:
+        answer = super().query(selector, timeout_s, background)
         self._recorder.note("answer", answer)
         return answer
 

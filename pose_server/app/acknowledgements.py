@@ -5,7 +5,6 @@ arrive, and how fast.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from importlib.metadata import version
 
 from fleetpose.pose_server.state.robots import Robot
 from fleetpose.pose_server.state.site import Site
@@ -14,6 +13,7 @@ from fleetpose.protocol.drops import Drops
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import CameraAnnouncement, Heard, KeptView, Odometry, View
 from fleetpose.protocol.messages.base import Message
+from fleetpose.protocol.text import release
 
 _SENT_BY_ROBOTS = (View, KeptView, CameraAnnouncement, Odometry)
 _READS = tuple(schema for kind in _SENT_BY_ROBOTS for schema in schemas_read(kind))
@@ -65,7 +65,7 @@ class Acknowledgements:
             seq=None if newest is None else newest.seq,
             waited_s=waited_s,
             drops=self.drops.of(f"robot/{robot.name}"),
-            version=version("fleetpose"),
+            version=release(),
             reads=_READS,
             server_epoch=self.epoch,
             n=n,

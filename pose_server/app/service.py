@@ -100,7 +100,8 @@ class Service:
         self._heard = Acknowledgements(site, self.keys, self.epoch, put, self._drops)
         self._clouds = link.on_bulk(self.keys.cloud("*"), self._events.wake)
         self._engine = Engine(pool, self._queue.put)
-        self._fetcher = Fetcher(self.keys, link.query, self._queue.put, self._drops)
+        ask = partial(link.query, background=True)  # robots' next views are worth more
+        self._fetcher = Fetcher(self.keys, ask, self._queue.put, self._drops)
         self._pending = PendingUpdates(self._fetcher.ask)
         self._early = StartupGrace(time.monotonic(), self._is_known)
         self._load = Load(time.monotonic())

@@ -6,13 +6,13 @@ from collections import defaultdict, deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from statistics import median
 
 from fleetpose.pose_server.messages.builders import Stamp
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.workers.pools import Engine
 from fleetpose.protocol.messages import ServerStatus
+from fleetpose.protocol.text import release
 
 _RATE_OVER_S = 10.0
 _DROPS = ("without_token", "worker_died")  # counted by the site
@@ -97,7 +97,7 @@ def server_status(
             **{name: counts[name] for name in _DROPS if name in counts},
             "newer_view": newer,
         },
-        version=version("fleetpose"),
+        version=release(),
         waiting=_waiting(site),
         wait_share=site.pair_queue.max_wait_share,
         stage_ms=stages.medians_ms(),

@@ -20,6 +20,7 @@ from fleetpose.pose_server.calibration.findings import (
 from fleetpose.pose_server.calibration.history import DepthStatement
 from fleetpose.pose_server.calibration.links import SLOW_S
 from fleetpose.pose_server.consistency.anchoring import anchor_alarms
+from fleetpose.pose_server.consistency.blindness import blind_alarms
 from fleetpose.pose_server.consistency.doubts import doubt_alarms
 from fleetpose.pose_server.geometry.features.motion import Mask
 from fleetpose.pose_server.state.site import Site
@@ -38,7 +39,12 @@ _CHECK = "`robot-agent calibrate-check`"
 
 def standing(site: Site) -> tuple[Alarm, ...]:
     """All alarms that stand now."""
-    return (*anchor_alarms(site), *doubt_alarms(site), *site.alarms.standing)
+    return (
+        *anchor_alarms(site),
+        *doubt_alarms(site),
+        *blind_alarms(site),
+        *site.alarms.standing,
+    )
 
 
 def note_depths(site: Site, done: Done) -> None:

@@ -7,6 +7,7 @@ from collections import Counter
 import numpy as np
 
 from fleetpose.pose_server.calibration.monitor import note_motion, note_time_offset
+from fleetpose.pose_server.consistency.blindness import note_blind
 from fleetpose.pose_server.consistency.doubts import (
     DROVE,
     camera_frozen,
@@ -41,6 +42,7 @@ def newest_arrived(site: Site, robot: Robot, view: KeptView) -> None:
     robot.arrive(view.name)
     note_stand(robot, view)
     site.odometers.at(view.name, view.stamp_ns)
+    note_blind(site, robot, view)
     if camera_frozen(site, robot, view):
         robot.wait(None)
     elif not robot.track.keyframes:

@@ -124,7 +124,7 @@ class Track:
         tried = self._tried.setdefault(view, [])
         here = None if view in self.past else self.reference  # none after a restart as well
         first = here or self.keyframe_near(view)
-        if first in self.keyframes and first not in tried:
+        if first is not None and first in self.keyframes and first not in tried:
             tried.append(first)
             return first
         left = [

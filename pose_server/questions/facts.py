@@ -82,7 +82,11 @@ def _ranked(site: Site, newest: dict[str, ViewName]) -> tuple[Question, ...]:
 
 
 def _is_up_to_the_operator(site: Site, a: str, b: str) -> bool:
-    """Nobody is asked what the machine may still find out by itself."""
+    """Nobody is asked what the machine may still find out by itself, or where there is hardly any
+    depth to click at.
+    """
+    if any(name in site.robots and site.robots[name].blind for name in (a, b)):
+        return False
     if (a, b) in site.skip:
         return True
     record = site.pairs.get((a, b))

@@ -2,7 +2,8 @@
 
 zenoh tells denials at trace level only, and has no other way to count them. It works out in advance
 what a session may do with a key, and tells that in the same words: these lines, nine after each
-`caching permissions`, are no denials.
+`caching permissions`, are no denials. What a router thins out is dropped before its rules see it:
+of puts faster than that, also on `**`, only some are told.
 """
 
 import re
@@ -34,7 +35,10 @@ _SAID = re.compile(
     r"(.+?) \((ingress|egress)\) on (.+)"
 )
 _NAME = re.compile(r"CertCommonName\((.+?)\)(?:\+|$)")
-_REFUSED = re.compile(r"invalid peer certificate: ([A-Za-z ]+)|(peer sent no certificates)")
+_REFUSED = re.compile(
+    r"invalid peer certificate: ([A-Za-z ]+)"
+    r"|(peer sent no certificates|received corrupt message of type InvalidContentType)"
+)
 _CAUSES = {
     "certificate expired": "expired",
     "Expired": "expired",
@@ -43,6 +47,7 @@ _CAUSES = {
     "UnknownIssuer": "of another site",
     "BadSignature": "of another authority with this site's name",
     "peer sent no certificates": "without a certificate",
+    "received corrupt message of type InvalidContentType": "without TLS",
 }
 STRANGER = "a certificate that the rules do not know"
 

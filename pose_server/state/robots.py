@@ -41,6 +41,7 @@ class Robot:
         published: the pose that was told last, and where that put it.
         stood: the first view since which it has stood still and seen the same.
         refused: how many of its views were refused since the newest one, and why the last was.
+        blind: the text of the alarm that its newest view has hardly any depth; empty if it has.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Robot:
     published_at: PublishedAt | None = None
     stood: KeptView | None = None
     refused: tuple[int, str] = (0, "")
+    blind: str = ""
 
     @property
     def alive(self) -> bool:
@@ -95,6 +97,10 @@ class Robot:
         """Calibration and clock are those of a view, in so many things others than before."""
         self.camera, self.stamp_ns = view.camera, view.stamp_ns
         self.changes += changes
+
+    def note_blind(self, text: str) -> None:
+        """Its newest view has hardly any depth, as the text says; or has again, if it is empty."""
+        self.blind = text
 
     def stand_since(self, view: KeptView) -> None:
         """It has stood still and seen the same since a view."""

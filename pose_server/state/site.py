@@ -145,12 +145,7 @@ class Site:
             SiteFullError: there is none.
         """
         if name not in self.robots and len(self.robots) >= MAX_ROBOTS:
-            left = {view.robot for view in self.correspondences.views()}
-            gone = [
-                robot.name
-                for robot in self.robots.values()
-                if not robot.alive and not robot.track.keyframes and robot.name not in left
-            ]
+            gone = [r.name for r in self.robots.values() if not r.alive and not self.has_of(r.name)]
             for other in gone:
                 del self.robots[other]
             if not gone:
@@ -159,6 +154,11 @@ class Site:
         if len(robot.epochs) >= MAX_EPOCHS:
             raise SiteFullError(f"too many tokens under one name: {MAX_EPOCHS} of '{name}'")
         return robot
+
+    def has_of(self, name: str) -> bool:
+        """Whether anything that a robot showed is kept, maybe of a life before this server's."""
+        clicked = any(view.robot == name for view in self.correspondences.views())
+        return clicked or bool(self.robots[name].track.keyframes)
 
     def forget_robot(self, name: str) -> None:
         """A robot that never showed anything is gone."""

@@ -43,6 +43,8 @@ class KeptView:
         frozen_s: for how long the robot's camera has given the same image, to the last bit.
         on_way_s: that the robot's view before it took to arrive.
         share: of its salient points that the robot sent.
+        depth_points: how many salient points have depth, had all come; or points of a glance at the
+            cloud, if those are more.
     """
 
     name: ViewName
@@ -59,6 +61,7 @@ class KeptView:
     frozen_s: float = 0.0
     on_way_s: float = 0.0
     share: float = 1.0
+    depth_points: int = 0
 
     @property
     def encoded(self) -> EncodedView:
@@ -108,7 +111,8 @@ def open_view(
     salient = decode_salient(view.salient)
     _check_inside("point", points.uv, view.camera)
     _check_inside("salient point", salient.uv, view.camera)
-    strongest = np.flatnonzero(np.isfinite(salient.inverse_depth))[:_SIGNATURE_POINTS]
+    with_depth = np.flatnonzero(np.isfinite(salient.inverse_depth))
+    strongest = with_depth[:_SIGNATURE_POINTS]
     return KeptView(
         name=view.name,
         payload=payload,
@@ -124,6 +128,7 @@ def open_view(
         frozen_s=view.frozen_s,
         on_way_s=view.on_way_s,
         share=view.share,
+        depth_points=max(round(len(with_depth) / max(view.share, 1e-3)), len(points.xyz)),
     )
 
 

@@ -343,9 +343,9 @@ class Alarm(Message, frozen=True, schema="fleet.alarm.v1"):
 
     robot: Name
     kind: Name = Field(
-        description="what is off: scale, unequal, bent, skew, clock, link, mirrored; frozen, "
-        "still, lost, carried: the robot is not located while it stands; anchor: there is no such "
-        "robot"
+        description="what is off: scale, unequal, bent, skew, clock, link, mirrored, blind; "
+        "frozen, still, lost, carried: the robot is not located while it stands; anchor: there is "
+        "no such robot"
     )
     text: Text
 

@@ -4,7 +4,9 @@ wrote, checked before anything is opened.
 
 import json
 import re
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,13 +48,17 @@ class Configuration:
 
     def why_unreachable(self) -> str:
         """What is wrong with the links to its routers, where that can be found out: TLS only. It
-        may take some seconds for each.
+        may take some seconds; all are asked at once.
         """
-        tls = self.get(_TLS) or {}
-        found = {one: why_refused(one, tls) for one in self.endpoints}
-        several = len(found) > 1
-        said = (f"{one}: {why}" if several else why for one, why in found.items() if why)
-        return "; ".join(said)
+        if not self.endpoints:
+            return ""
+        ask = partial(why_refused, tls=self.get(_TLS) or {})
+        with ThreadPoolExecutor(len(self.endpoints)) as pool:
+            found = list(pool.map(ask, self.endpoints))
+        if len(set(found)) == 1:
+            return found[0]
+        pairs = zip(self.endpoints, found, strict=True)
+        return "; ".join(f"{one}: {why}" for one, why in pairs if why)
 
     def get(self, key: str) -> Any:
         """A value of the configuration."""

@@ -13,7 +13,7 @@ from fleetpose.robot_agent.cameras.base import Camera
 from fleetpose.robot_agent.cameras.kinds import CameraKind
 
 _MODULES: dict[CameraKind, str] = {
-    "rgbd": "folders.rgbd",
+    "rgbd": "rgbd.recording",
     "views": "folders.views",
     "reconstruction": "folders.reconstruction",
     "bundler": "folders.reconstruction",
@@ -25,7 +25,8 @@ _OPTIONS = {
     "views": ("clouds", "view"),
     "reconstruction": ("view", "metres_per_unit"),
     "cloud": ("axes", "metres_per_unit"),
-    "stereo": ("calibration", "video", "stop"),
+    "stereo": ("calibration", "video", "stop", "translation_unit"),
+    "rgbd": ("calibration", "depth_scale"),
 }
 
 
@@ -41,6 +42,8 @@ def open_camera(
     calibration: Path | None = None,
     video: Any = None,
     stop: threading.Event | None = None,
+    translation_unit: float | None = None,
+    depth_scale: float | None = None,
 ) -> Camera:
     """Opens a camera.
 
@@ -52,9 +55,11 @@ def open_camera(
         view: posed views and reconstructions, the one view to take.
         metres_per_unit: reconstructions, whose scale is arbitrary, and clouds.
         axes: clouds only, `robot` or `optical`.
-        calibration: stereo only, its file.
+        calibration: stereo and rgbd, its file.
         video: stereo only, `robot_agent.cameras.stereo.video.VideoSettings`.
         stop: stereo only, ends the waiting for a device.
+        translation_unit: stereo only, metres that one of the calibration's translation is.
+        depth_scale: rgbd only, steps of its depth images per metre.
 
     Raises:
         FleetPoseError: the source cannot be read or is not calibrated.
@@ -67,6 +72,8 @@ def open_camera(
         "calibration": calibration,
         "video": video,
         "stop": stop,
+        "translation_unit": translation_unit,
+        "depth_scale": depth_scale,
     }
     name = "reconstruction" if kind == "bundler" else kind
     module = import_module(f"fleetpose.robot_agent.cameras.{_MODULES[kind]}")

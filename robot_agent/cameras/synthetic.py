@@ -18,8 +18,8 @@ import numpy.typing as npt
 from fleetpose.protocol.errors import FleetPoseError, UnreachableError
 from fleetpose.protocol.messages import ROBOT_FROM_CAMERA
 from fleetpose.robot_agent.cameras.base import Frame
+from fleetpose.robot_agent.cameras.calibrations.reading import rig_of
 from fleetpose.robot_agent.cameras.stereo.matching import StereoMatcher
-from fleetpose.robot_agent.cameras.stereo.rig import rig_of
 
 CAMERA_HEIGHT_M = 1.2
 CAMERA_TILT_DEG = 5.0

@@ -31,6 +31,7 @@ class CheckOptions:
         length_m, board, points: see `known_length`.
         save: where the picture of the first pair goes.
         as_json: print JSON instead of lines.
+        translation_unit: metres that one of the calibration's translation is; None: metres.
     """
 
     data: str
@@ -43,6 +44,7 @@ class CheckOptions:
     points: str | None = None
     save: Path | None = None
     as_json: bool = False
+    translation_unit: float | None = None
 
 
 def run(options: CheckOptions) -> int:
@@ -54,7 +56,7 @@ def run(options: CheckOptions) -> int:
     known = known_length(options.length_m, options.board, options.points)
     source = open_pairs(options.data, "once", options.video)
     try:
-        rig = calibrated(source, options.calibration)
+        rig = calibrated(source, options.calibration, options.translation_unit)
         pairs = taken(source, options.pairs, options.interval_s)
     finally:
         source.close()

@@ -173,7 +173,7 @@ def test_a_robot_shows_no_token_but_its_own(sessions):
     watchers = [
         sessions["server"]
         .liveliness()
-        .declare_subscriber(key, lambda s: seen.append(str(s.key_expr)))
+        .declare_subscriber(key, lambda s: seen.append(str(s.key_expr)), history=True)
         for key in (K.robot_alive("*", "*"), K.server_alive("*"))
     ]
     shown = (K.robot_alive("r1", "a" * 12), K.robot_alive("r9", "b" * 12), K.server_alive("c" * 12))

@@ -7,7 +7,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
@@ -19,9 +18,10 @@ from fleetpose.deploy.errors import BundleError
 from fleetpose.deploy.identity import Identity
 from fleetpose.deploy.machine.check import SOON_DAYS, State, Step, check
 from fleetpose.deploy.machine.install import plan_rules
-from fleetpose.deploy.machine.installed import folders_below
-from fleetpose.deploy.machine.tls import probe
+from fleetpose.deploy.machine.installed import folders_below, tls_files
 from fleetpose.deploy.manifest import CA, CERTIFICATE, CONFIGURATION, KEY, MANIFEST
+from fleetpose.protocol.session.probe import why_refused
+from fleetpose.protocol.transport import SessionSettings, free_port, open_session
 from tests.deploy.field_makers import Field
 
 NAMES = ["files", "clock", "certificate", "name", "version", "router a", "session a", "server"]
@@ -179,7 +179,7 @@ def test_a_certificate_without_rules_is_named(router, field, machine):
     told = json.loads((machine / MANIFEST).read_text())
     told |= {"generation": 2, "certificate_sha256": issued.der_sha256}
     (machine / MANIFEST).write_text(json.dumps(told))
-    broken(machine, "session a", "its rules do not know robot/r1#2")
+    broken(machine, "session a", "rules do not know robot/r1#2")
 
 
 def to(machine: Path, host: str, port: int) -> None:
@@ -204,7 +204,7 @@ def test_a_certificate_of_another_site_is_named_by_the_router(router, field, tmp
     """This machine trusts the router, but the router does not know who signed for the machine."""
     folder = Field(tmp_path / site, site=site).install("robot/r1")
     (folder / CA).write_bytes(field.keeper.folder.authority().pem)
-    assert said in str(probe(field.router(), folder, time.time()).error)
+    assert said in why_refused(field.router().endpoint, tls_files(folder))
 
 
 def test_an_expired_certificate_is_named_by_the_router_too(router, field, machine):
@@ -229,7 +229,7 @@ def test_no_host_no_port_and_no_route_are_told_apart(field, machine, monkeypatch
         taken.bind(("127.0.0.1", 0))
         to(machine, "127.0.0.1", taken.getsockname()[1])
         broken(machine, "router a", "is the router running?")
-    monkeypatch.setattr("fleetpose.deploy.machine.tls.ANSWER_S", 0.2)
+    monkeypatch.setattr("fleetpose.protocol.session.probe.CONNECT_S", 0.2)
     with full_backlog() as port:
         to(machine, "127.0.0.1", port)
         broken(machine, "router a", "no route, or a firewall")
@@ -273,10 +273,14 @@ def test_what_speaks_no_tls_is_named(machine, monkeypatch):
     with listening(b"HTTP/1.1 400 Bad Request\r\n\r\n") as port:
         to(machine, "127.0.0.1", port)
         broken(machine, "router a", "speaks no TLS")
-    monkeypatch.setattr("fleetpose.deploy.machine.tls.ANSWER_S", 0.3)
+    monkeypatch.setattr("fleetpose.protocol.session.probe.HANDSHAKE_S", 0.3)
     with listening(None) as port:
         to(machine, "127.0.0.1", port)
         broken(machine, "router a", "accepts a connection but says nothing")
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with open_session(SessionSettings(listen=(endpoint,))):
+        to(machine, "127.0.0.1", int(endpoint.rpartition(":")[2]))
+        broken(machine, "router a", "a zenoh router that speaks no TLS")
 
 
 def deploy(*arguments: object) -> subprocess.CompletedProcess[str]:

@@ -235,6 +235,7 @@ def test_tcp_of_robots_and_routers_takes_loss_for_loss(field, tmp_path):
     planned(field, "robot/r1", tmp_path, System.SYSTEMD).write()
     text = (tmp_path / "etc/sysctl.d/90-fleetpose.conf").read_text()
     assert "net.ipv4.tcp_congestion_control = bbr" in text.splitlines()
+    assert "net.ipv4.tcp_notsent_lowat = 16384" in text.splitlines()
 
 
 def test_routers_have_a_packet_filter_for_their_own_port(field, tmp_path):

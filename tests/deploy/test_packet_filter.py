@@ -13,7 +13,7 @@ from fleetpose.deploy.machine import system_files
 
 PORT = 7447
 CROWD = 60
-LET_IN = 15  # a burst of 10, and 5 a second
+LET_IN = 11  # a burst of 6, and 5 a second
 CLIENT = """
 import select, socket, sys
 port, crowd, family = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]

@@ -82,7 +82,7 @@ def test_sigterm_ends_every_process_and_leaves_nothing(fleet, tmp_path):
         assert wait_until(lambda name=name: ended(fleet, name) is not None, END_S), name
         assert ended(fleet, name) in (0, -signal.SIGTERM), fleet.tail(name)
         assert "Traceback" not in fleet.tail(name, 50), fleet.tail(name)
-    assert fleet.leftover_processes() == 0
+    assert wait_until(lambda: fleet.leftover_processes() == 0, END_S), "a worker outlived them"
 
 
 def test_a_second_server_of_a_site_is_refused_and_one_that_takes_over_ends_the_first(

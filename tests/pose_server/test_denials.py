@@ -60,6 +60,13 @@ def test_what_is_worked_out_in_advance_is_no_denial_and_what_follows_is():
     assert counted(*ahead, fine) == {}
 
 
+@pytest.mark.parametrize("key", ["fleet/demo/robot/*/cloud", "fleet/demo/robot/**", "**"])
+def test_a_put_on_many_keys_at_once_is_told_though_only_its_beginning_is_worked_out(key):
+    ahead = [line(said) for said in in_advance(R2, "robot/r2", "fleet/demo/robot")]
+    put = line(by(R2, "robot/r2", "Put (ingress)", key))
+    assert counted(*ahead, put, put) == {("robot/r2", "Put (ingress)", key): 2}
+
+
 def test_threads_do_not_disturb_each_other():
     first = [line(said, thread=9) for said in in_advance(R1, "robot/r1")]
     second = [line(said, thread=10) for said in in_advance(R2, "robot/r2")]
@@ -100,6 +107,7 @@ def test_who_tries_thousands_of_keys_does_not_hide_what_others_do():
         ("invalid peer certificate: certificate expired: verification time 1 (UNIX)", "expired"),
         ("invalid peer certificate: UnknownIssuer. Hint: increase ...", "of another site"),
         ("peer sent no certificates", "without a certificate"),
+        ("received corrupt message of type InvalidContentType. Hint: ...", "without TLS"),
         ("invalid peer certificate: SomethingNew", "SomethingNew"),
     ],
 )

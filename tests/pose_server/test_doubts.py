@@ -9,13 +9,22 @@ import numpy as np
 import pytest
 
 from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.consistency.blindness import blind_alarms
 from fleetpose.pose_server.geometry.se3 import inverse, make_pose
 from fleetpose.pose_server.messages import builders
+from fleetpose.pose_server.questions.facts import questions
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.workers.jobs import Done
+from fleetpose.protocol.clouds import (
+    decode_salient,
+    decode_scattered,
+    encode_salient,
+    encode_scattered,
+)
 from fleetpose.protocol.messages import Odometry, RobotState, View, ViewName
+from fleetpose.robot_agent.features.keypoints import EXTRACTOR
 from tests.pose_server.scene import EPOCH, descriptors, turned, view, walls
 from tests.pose_server.test_flows import kept, site_of, work_off
 
@@ -175,6 +184,26 @@ def test_a_camera_that_repeats_itself_by_its_own_word_is_named_and_not_believed(
     assert "identical to the last bit" in state.why_not
     receive(site, seen("r2", 3))
     assert not alarms(site) and state_of(site, "r2", 3.0).why_not == ""
+
+
+def test_a_robot_that_loses_nearly_all_its_depth_is_named_and_not_asked_about():
+    site = fleet()
+    points = decode_salient(seen("r2", 1).salient)
+    usual = len(points.uv)
+    left = np.where(np.arange(usual) % 33, np.nan, points.inverse_depth).astype(np.float32)
+    few = encode_salient(replace(points, inverse_depth=left), EXTRACTOR)
+    receive(site, seen("r2", 1).model_copy(update={"salient": few}))
+    assert ("r2", "blind") not in alarms(site), "its cloud has enough to click at"
+    uv, z = decode_scattered(seen("r2", 2).cloud)
+    thin = encode_scattered(uv[::33], z[::33], 1e-3)
+    receive(site, seen("r2", 2).model_copy(update={"salient": few, "cloud": thin}))
+    assert ("r2", "blind") in alarms(site)
+    (alarm,) = (one for one in blind_alarms(site) if one.robot == "r2")
+    assert f"({np.isfinite(left).sum()} points where its keyframes have up to" in alarm.text
+    assert not any("r2" in (q.i, q.j) for q in questions(site))
+    receive(site, seen("r2", 3))
+    assert ("r2", "blind") not in alarms(site)
+    assert sum("hardly anything" in event for event in site.events) == 1
 
 
 @pytest.mark.parametrize("wheels", [False, True], ids=["no odometry", "wheels at rest"])

@@ -6,6 +6,7 @@ import pytest
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.frontend.frames import position_sigma
 from fleetpose.pose_server.messages import builders
+from fleetpose.pose_server.persistence.graph_writer import graph_of
 from fleetpose.pose_server.persistence.restore import restore
 from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.pose_server.state.pairs import PairStatus
@@ -239,3 +240,17 @@ def test_clicks_have_a_worker_of_their_own_and_a_flood_of_them_takes_none_from_t
     site.pair("r1", "r2").status = PairStatus(due="clicks")
     left = pipeline.next_job(site, 0.0)
     assert left is not None and left.kind == "clicks"  # where robots wait for nothing
+
+
+def test_a_robot_that_goes_before_its_first_view_after_a_restart_leaves_its_keyframes():
+    (first, other), _ = scene_with_points_to_click(np.random.default_rng(4), turned(15))
+    before = site_of(first, other)
+    work_off_all(before)
+    graph = graph_of(before)
+    assert graph.edges, "the two robots are linked"
+    site = empty_site()
+    restore(site, [kept(first), kept(other)], graph.edges.values(), graph.gauge)
+    for alive in (True, False):
+        pipeline.receive_token(site, "r1", EPOCH, alive)
+    pipeline.solve(site, 0.0)
+    assert site.solution is not None and site.joined(first.name, other.name)

@@ -15,7 +15,8 @@ from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import RelativePose, RobotPose
 from fleetpose.protocol.transport import Answer, Sample, wait_until
 from fleetpose.robot_agent import poses as poses_module
-from fleetpose.robot_agent.cameras.stereo.rig import content_of, rig_of
+from fleetpose.robot_agent.cameras.calibrations.reading import rig_of
+from fleetpose.robot_agent.cameras.stereo.rig import content_of
 from fleetpose.robot_agent.client import FleetRobot
 from fleetpose.robot_agent.poses import PoseBoard
 from fleetpose.robot_agent.settings import RobotSettings

@@ -331,15 +331,15 @@ def test_a_name_becomes_free_within_the_lease(router):
 
 def test_push_does_not_wait_and_drops_all_but_the_newest(robot, link):
     release = threading.Event()
-    publish = robot._sender._publish
+    make_ready = robot._sender._make_ready
     published = []
 
     def slow(name, frame):
         release.wait(10)
         published.append(name.seq)
-        publish(name, frame)
+        return make_ready(name, frame)
 
-    robot._sender._publish = slow
+    robot._sender._make_ready = slow
     started = time.monotonic()
     for _ in range(20):
         robot.push(IMAGE, DEPTH)
@@ -355,7 +355,7 @@ def test_a_bug_in_the_sender_comes_to_light_at_the_next_push(robot):
     def broken(name, frame):
         raise ZeroDivisionError("bug")
 
-    robot._sender._publish = broken
+    robot._sender._make_ready = broken
     robot.push(IMAGE, DEPTH)
     with pytest.raises(ZeroDivisionError):
         robot.flush()

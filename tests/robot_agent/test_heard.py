@@ -80,6 +80,33 @@ def test_the_cause_of_a_silence_is_told(robot, ear, caplog, monkeypatch, told, c
     assert caplog.text.count("not heard for") == 1
 
 
+def test_another_cause_of_the_same_silence_is_told_at_once(caplog, monkeypatch):
+    monkeypatch.setattr(hearing, "ASKED_AGAIN_S", 0.05)
+    monkeypatch.setattr(hearing, "_LOOK_S", 0.01)
+    causes = ["nothing listens", *["view 1 is refused", "view 2 is refused"] * 5, "expired"]
+
+    def cause() -> str:
+        return causes.pop(0) if len(causes) > 1 else causes[0]
+
+    watch = hearing.SilenceWatch(lambda: 9.0, lambda: True, cause, lambda _: "")
+    watch.start()
+    assert wait_until(lambda: "expired" in caplog.text, 10)
+    watch.close()
+    assert [one.message.rpartition(": ")[2] for one in caplog.records] == [
+        *("nothing listens", "view 1 is refused", "expired")
+    ]
+
+
+def test_a_router_that_is_lost_is_told_before_any_view_is_missed(own_router, caplog, monkeypatch):
+    monkeypatch.setattr(hearing, "LOST_S", 0.2)
+    caplog.set_level(logging.INFO)
+    with FleetRobot("r1", settings_for(own_router.endpoint), camera=MODEL):
+        own_router.close()
+        assert wait_until(lambda: "no router is reached" in caplog.text, 10), caplog.text
+        own_router.start()
+        assert wait_until(lambda: "hears this robot again" in caplog.text, 20), caplog.text
+
+
 def test_what_another_says_is_heard_is_refused(robot, ear, link):
     ear(heard(n=1, seq=0, epoch=robot.epoch, server_epoch=OTHER))
     assert wait_until(lambda: robot.drops.total() == 1, 5)
@@ -116,12 +143,12 @@ def test_a_slow_link_gets_smaller_views_until_they_pass_in_time():
         took_s.append(full * budget.share / bytes_s)
     assert took_s[0] > 2.0 and took_s[-1] < SLOW_S
     assert budget.points(1600) == round(1600 * budget.share) < 1600
-    assert 40 <= budget.quality(85) < 85
+    assert 30 <= budget.quality(85) < 85
 
 
 def test_one_late_word_changes_nothing_and_a_fast_link_gets_all_again():
     budget = Budget()
-    for took_s in (0.1, 3.0, 0.1, 3.0, 0.1):
+    for took_s in (0.1, 1.9, 0.1, 1.9, 0.1):
         assert not budget.note(took_s, 0.9)
     budget.step = len(SHARES) - 1
     for _ in range(200):
@@ -143,9 +170,9 @@ def test_fewer_points_than_a_place_needs_are_never_sent():
 
 def test_a_view_that_is_never_confirmed_holds_up_the_next_for_a_while_only():
     way = OnWay(waits=True)
-    way.sent(0, 10.0, 0.9)
+    way.sent(0, 10.0, 1000, 0.9)
     assert way.free_in_s(10.0) == MOST_WAIT_S and way.free_in_s(10.0 + MOST_WAIT_S) == 0.0
-    way.sent(1, 15.0, 0.9)
+    way.sent(1, 15.0, 1000, 0.9)
     assert way.took_s == 5.0 and way.silent_since_s == 10.0
     way.confirmed(1, 0.25, 16.0)
     assert (way.took_s, way.silent_since_s, way.confirmed_s) == (0.75, None, 16.0)
@@ -153,10 +180,35 @@ def test_a_view_that_is_never_confirmed_holds_up_the_next_for_a_while_only():
     assert way.confirmed_s == 17.0 and way.free_in_s(17.0) == 0.0
 
 
+def test_views_of_which_none_comes_in_time_shrink_but_not_while_nobody_listens():
+    way = OnWay(waits=True)
+    for n in range(4):
+        way.sent(n, n * MOST_WAIT_S, 190_000, 0.9)
+    assert way.budget.share < 0.2
+    alone = OnWay(waits=False)
+    for n in range(4):
+        alone.sent(n, n * MOST_WAIT_S, 190_000, 0.9)
+    assert alone.budget.share == 1.0 and alone.image_may_go(10**6, 0.0)
+
+
+def test_images_get_a_part_of_a_slow_links_time_and_all_they_want_of_a_fast_one():
+    def images_in_a_minute(bytes_s: float) -> int:
+        way, sent = OnWay(waits=True), 0
+        for now_s in range(60):
+            way.sent(now_s, float(now_s), 40_000, 0.9)
+            way.confirmed(now_s, 0.0, now_s + 40_000 / bytes_s)
+            sent += way.image_may_go(60_000, now_s + 0.1)
+        return sent
+
+    assert images_in_a_minute(10e6) == 60
+    slow = images_in_a_minute(50e3)
+    assert 0 < slow * 60_000 / 50e3 < 60 * 0.2
+
+
 def test_an_older_view_that_is_confirmed_again_is_no_news():
     way = OnWay(waits=True)
     for seq in (0, 1):
-        way.sent(seq, float(seq), 0.9)
+        way.sent(seq, float(seq), 1000, 0.9)
     way.confirmed(0, 0.0, 2.0)
     way.confirmed(0, 0.0, 9.0)
     assert (way.confirmed_s, way.silent_since_s) == (2.0, 2.0)

@@ -12,8 +12,8 @@ import pytest
 from fleetpose.protocol.errors import CalibrationError, DataFolderError
 from fleetpose.robot_agent.cameras.base import DepthImage, ScatteredPoints
 from fleetpose.robot_agent.cameras.factory import open_camera
-from fleetpose.robot_agent.cameras.folders.rgbd import KINECT_NOISE
 from fleetpose.robot_agent.cameras.replay import replay_order
+from fleetpose.robot_agent.cameras.rgbd.recording import KINECT_NOISE
 
 K = np.array([[60.0, 0.0, 31.5], [0.0, 61.0, 23.5], [0.0, 0.0, 1.0]])
 
@@ -269,3 +269,117 @@ def test_poses_are_not_needed_and_not_read(views):
     entries = [{**entry, "R_world_to_cam": "nonsense"} for entry in cameras_of(views)]
     write_cameras(views, entries)
     assert len(frames_of("views", views)) == 2
+
+
+def shots_of(folder, colour, depth, count=3, size=(640, 480), steps=2000):
+    """Images under names with a place for their number; depth grows by 1 m at so many steps."""
+    for n in range(count):
+        for name, image in (
+            (colour, cv2.resize(picture(20 * n + 20), size)),
+            (depth, np.full((480, 640), steps * (n + 1), np.uint16)),
+        ):
+            path = folder / name.format(n)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(path), image)
+
+
+def icl_nuim(folder):
+    shots_of(folder, "rgb/{}.png", "depth/{}.png", steps=5000)
+    lines = [f"{n} depth/{n}.png {n} rgb/{n}.png" for n in range(3)]
+    (folder / "associations.txt").write_text("\n".join(lines))
+    (folder / "camera-intrinsics.txt").write_text("481.2 0 319.5\n0 480 239.5\n0 0 1")
+    return 481.2
+
+
+def eth3d(folder):
+    shots_of(folder, "rgb/{}.png", "depth/{}.png", steps=5000)
+    for kind in ("rgb", "depth"):
+        lines = [f"{100 + n}.25 {kind}/{n}.png" for n in range(3)]
+        (folder / f"{kind}.txt").write_text("\n".join(lines))
+    (folder / "calibration.txt").write_text("726.28 726.28 354.6 186.4")
+    return 726.28
+
+
+def scannet(folder):
+    shots_of(folder, "color/{}.jpg", "depth/{}.png", count=12, size=(1296, 968), steps=400)
+    (folder / "intrinsic").mkdir()
+    rows = ("577.9 0 319.5 0", "0 578.7 239.5 0", "0 0 1 0", "0 0 0 1")
+    (folder / "intrinsic/intrinsic_depth.txt").write_text("\n".join(rows))
+    return 577.9
+
+
+def replica(folder):
+    shots_of(folder, "room/results/frame{:06d}.jpg", "room/results/depth{:06d}.png", steps=6553)
+    camera = {"w": 640, "h": 480, "fx": 600.0, "fy": 600.0, "cx": 319.5, "cy": 239.5}
+    (folder / "cam_params.json").write_text(json.dumps({"camera": camera | {"scale": 6553.5}}))
+    return 600.0
+
+
+def two_folders_of_open3d(folder):
+    shots_of(folder, "color/color_{:05d}.jpg", "depth/depth_{:05d}.png", steps=1000)
+    matrix = {"width": 640, "height": 480}
+    matrix["intrinsic_matrix"] = [610.0, 0, 0, 0, 611.0, 0, 319.0, 241.0, 1]
+    (folder / "camera_intrinsic.json").write_text(json.dumps(matrix))
+    return 610.0
+
+
+@pytest.mark.parametrize("write", [icl_nuim, eth3d, scannet, replica, two_folders_of_open3d])
+def test_folders_as_they_are_downloaded(write, tmp_path):
+    f = write(tmp_path)
+    folder = tmp_path / "room" if write is replica else tmp_path
+    frames = frames_of("rgbd", folder)
+    assert len(frames) == (12 if write is scannet else 3)
+    assert frames[0].model.K[0, 0] == f and frames[0].image.shape == (480, 640, 3)
+    depths = [float(frame.ranges.depth_m[5, 5]) for frame in frames[:3]]
+    step = 0.4 if write is scannet else 1.0
+    np.testing.assert_allclose(depths, [step, 2 * step, 3 * step], rtol=1e-3)
+    assert [int(frame.image.mean()) for frame in frames[:3]] == pytest.approx([20, 40, 60], abs=1)
+
+
+def test_millimetres_in_a_layout_of_fifths_are_asked_for(tum):
+    for n in range(4):
+        cv2.imwrite(str(tum / f"depth/{n}.png"), np.full((480, 640), 1000 * (n + 1), np.uint16))
+    with pytest.raises(DataFolderError, match=r"0\.2 to 0\.8 m at 5000 .*--depth-scale"):
+        frames_of("rgbd", tum)
+    camera = open_camera("rgbd", str(tum), "once", depth_scale=1000.0)
+    assert float(next(camera.frames()).ranges.depth_m[0, 0]) == 1.0
+    camera.close()
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+def test_colour_of_any_depth_of_bits_is_as_bright(seven_scenes, bits):
+    (seven_scenes / "frame-000000.color_registered.jpg").unlink(missing_ok=True)
+    bright = np.full((48, 64, 3), (1 << bits) - 1, np.uint16)
+    bright[:24] = 100 << (bits - 8)
+    cv2.imwrite(str(seven_scenes / "frame-000000.color_registered.png"), bright)
+    image = frames_of("rgbd", seven_scenes)[0].image
+    assert image[0, 0, 0] == 100 and image[40, 0, 0] == 255
+
+
+def test_lists_with_a_byte_order_mark_commas_and_nanoseconds(tum):
+    for kind in ("rgb", "depth"):
+        lines = [f"{(1_400_000_000 + n) * 10**9},{kind}/{n}.png" for n in range(4)]
+        (tum / f"{kind}.txt").write_text("\ufeff# time, file\r\n" + "\r\n".join(lines))
+    assert len(frames_of("rgbd", tum)) == 4
+    (tum / "rgb.txt").write_text("100.0 rgb/0.png\nnothing")
+    with pytest.raises(DataFolderError, match=r"rgb\.txt, line 2"):
+        frames_of("rgbd", tum)
+
+
+def test_images_of_two_eyes_belong_together_by_their_names(tmp_path):
+    from fleetpose.robot_agent.cameras.folders.pairing import list_images, paired
+
+    for side, numbers in (("left", (1, 2, 10, 11)), ("right", (1, 3, 10, 11))):
+        (tmp_path / side).mkdir()
+        for n in numbers:
+            (tmp_path / side / f"{side}{n}.png").write_bytes(b"")
+    left, right = list_images(tmp_path / "left"), list_images(tmp_path / "right")
+    assert [path.stem for path in left] == ["left1", "left2", "left10", "left11"]
+    pairs = [(one.stem, other.stem) for one, other in paired(left, right)]
+    assert pairs == [("left1", "right1"), ("left10", "right10"), ("left11", "right11")]
+    stamps = [1_403_636_579_763_555_584 + k * 50_000_000 for k in range(4)]
+    one = [tmp_path / f"{stamp}.png" for stamp in stamps]
+    other = [tmp_path / f"{stamp + 2_000_000}.png" for stamp in stamps[1:]]
+    assert paired(one, other) == list(zip(one[1:], other, strict=True))
+    with pytest.raises(DataFolderError, match="has no partner"):
+        paired(one, [tmp_path / "a.png"])

@@ -9,12 +9,13 @@ import pytest
 from fleetpose.evaluation.simulate.world.materials.textures import noise
 from fleetpose.evaluation.simulate.world.render import Quad, Renderer
 from fleetpose.protocol.errors import CalibrationError, DataFolderError
+from fleetpose.robot_agent.cameras.calibrations.reading import read_rig, rig_of
 from fleetpose.robot_agent.cameras.stereo.matching import (
     DISPARITY_SIGMA_PX,
     StereoMatcher,
     open_camera,
 )
-from fleetpose.robot_agent.cameras.stereo.rig import StereoRig, content_of, read_rig, rig_of
+from fleetpose.robot_agent.cameras.stereo.rig import StereoRig, content_of
 
 WIDTH, HEIGHT = SIZE = (480, 360)
 K = np.array(((400.0, 0, 239.5), (0, 400.0, 179.5), (0, 0, 1)))
@@ -184,7 +185,7 @@ def test_images_of_another_size_are_refused_with_both_sizes():
         ({"t": [0.4, 0, 0]}, "swap"),
         ({"t": [0, -0.4, 0]}, "sideways"),
         ({"t": [0.0, 0, 0]}, "zero"),
-        ({"t": [[-0.4, 0], [0, 0]]}, "shape"),
+        ({"t": [[-0.4, 0], [0, 0]]}, "t needs 3 numbers|T needs 3 numbers"),
         ({"t": None}, "lacks t"),
         ({"K_left": None}, "lacks K_left"),
         ({"K_right": [[0.0, 0, 240], [0, 400, 180], [0, 0, 1]]}, "K_right is no pinhole"),

@@ -25,12 +25,17 @@ CONNECT_S = 60.0
 
 
 class Ledger(Heard):
-    """What the desk posted, by its own words, beside what the server says of it."""
+    """What the desk posted, by its own words, beside what the server says of it.
 
-    def __init__(self, link: Link, keys: Keys) -> None:
+    Args:
+        link, keys: of the session to use; it must outlive this.
+        operator: who sits there.
+    """
+
+    def __init__(self, link: Link, keys: Keys, operator: str = OPERATOR) -> None:
         self._covered: dict[str, int] = {}  # by session, the highest number
         self._rejected: set[tuple[str, int]] = set()
-        super().__init__(link, keys, OPERATOR)
+        super().__init__(link, keys, operator)
 
     def in_flight(self, told: list[dict[str, Any]]) -> int:
         """How many of the clicks that the desk told of no receipt covers."""
@@ -73,18 +78,20 @@ class Ledger(Heard):
         return is_new
 
 
-def work(endpoint: str, site: str, kept: Path, places: Path, pause: Path) -> None:
+def work(
+    settings: SessionSettings, site: str, operator: str, kept: Path, places: Path, pause: Path
+) -> None:
     """Clicks until ended; while the file `pause` is there it only goes on offering.
 
     Args:
+        settings: of the connection; site: of its keys; operator: who clicks.
         kept: the operator's file of updates on their way.
         places: JSON, a list of pairs: both views and where to click, `view_i`, `view_j`, `uv_i`,
             `uv_j`.
     """
     pairs = json.loads(places.read_text())
     chance = random.Random(time.time_ns())  # another one in each life: no click comes twice
-    session = OperatorSession(OPERATOR, kept=UpdateLog(kept))
-    settings = SessionSettings(connect=(endpoint,), timeout_s=CONNECT_S)
+    session = OperatorSession(operator, kept=UpdateLog(kept))
     with Client(session, Keys(site), lambda: Link(open_session(settings))):
         while True:
             time.sleep(PERIOD_S)
@@ -103,10 +110,16 @@ def work(endpoint: str, site: str, kept: Path, places: Path, pause: Path) -> Non
 
 
 def main() -> None:
-    """Arguments ENDPOINT SITE KEPT PLACES PAUSE."""
-    endpoint, site, *files = sys.argv[1:]
+    """Arguments ROUTER SITE OPERATOR KEPT PLACES PAUSE; ROUTER: an endpoint, or a file of zenoh's
+    configuration.
+    """
+    router, site, operator, *files = sys.argv[1:]
     log_to_stderr()
-    work(endpoint, site, *(Path(file) for file in files))
+    if router.endswith(".json5"):
+        settings = SessionSettings(config_file=Path(router), timeout_s=CONNECT_S)
+    else:
+        settings = SessionSettings(connect=(router,), timeout_s=CONNECT_S)
+    work(settings, site, operator, *(Path(file) for file in files))
 
 
 if __name__ == "__main__":

@@ -53,6 +53,9 @@ class Clicker(Heard):
         places: where to click.
         per_s: clicks per second.
         name: the operator's.
+
+    Attributes:
+        waits_s: of every receipted update, from when it was posted to its receipt.
     """
 
     def __init__(
@@ -71,6 +74,9 @@ class Clicker(Heard):
         self._clicks: dict[int, Click] = {}  # every one ever told, by id
         self._erasing: set[int] = set()
         self._offered_s: dict[int, float] = {}
+        self._posted_s: dict[int, float] = {}
+        self._waited_s: list[tuple[float, float]] = []
+        self.waits_s: list[float] = []
         self._ways = {places.pair: self._way(places) for places in self._places}
         self._publisher = link.latched(keys.updates(name), block=True, history=100)
         self._stop = threading.Event()
@@ -97,6 +103,13 @@ class Clicker(Heard):
         """Updates that are final."""
         with self._lock:
             return sum(ticket.final for ticket in self._tickets)
+
+    def waited_s(self, since_s: float, until_s: float) -> list[float]:
+        """How long each update of this time took until its receipt; of open ones, until now."""
+        with self._lock:
+            now_s = time.monotonic()
+            told = self._waited_s + [(at_s, now_s - at_s) for at_s in self._posted_s.values()]
+        return [took_s for posted_s, took_s in told if since_s <= posted_s < until_s]
 
     def reasons(self) -> Counter[str]:
         """Why updates were rejected."""
@@ -152,11 +165,11 @@ class Clicker(Heard):
         while not self._stop.wait(0.005):
             now_s = time.monotonic()
             if now_s >= next_s and not self._pause.is_set() and self.in_flight() < MAX_OPEN:
-                self._act(now_s)
+                self._act()
                 next_s = max(next_s + self._period_s, now_s)
             self._offer(now_s)
 
-    def _act(self, now_s: float) -> None:
+    def _act(self) -> None:
         places = self._chance.choice(self._places)
         with self._lock:
             known = self._sets.get(places.pair)
@@ -167,6 +180,7 @@ class Clicker(Heard):
             else:
                 ticket = self._add(places)
             self._tickets.append(ticket)
+            self._posted_s[ticket.update.n] = time.monotonic()
 
     def _erase(self, pair: Pair, item: Correspondence) -> Ticket:
         self._erasing.add(item.id)
@@ -199,10 +213,16 @@ class Clicker(Heard):
             n = ticket.update.n
             if now_s - self._offered_s.get(n, now_s - REPEAT_S) >= REPEAT_S:
                 self._offered_s[n] = now_s
+                self._posted_s.setdefault(n, time.monotonic())
                 self._publisher.put(codec.pack(ticket.update), codec.encoding_of(OperatorUpdate))
 
     def _settle(self, receipts: Receipts) -> bool:
-        return bool(self._outbox.settle(receipts))
+        settled, now_s = self._outbox.settle(receipts), time.monotonic()
+        for ticket in settled:
+            posted_s = self._posted_s.pop(ticket.update.n)
+            self._waited_s.append((posted_s, now_s - posted_s))
+            self.waits_s.append(now_s - posted_s)
+        return bool(settled)
 
     def _note_set(self, sample: Sample) -> None:
         super()._note_set(sample)

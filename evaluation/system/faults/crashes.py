@@ -4,7 +4,7 @@ import json
 import random
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import psutil
 
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 from fleetpose.evaluation.report.output import write_csv
-from fleetpose.evaluation.system.faults.clerk import Ledger
+from fleetpose.evaluation.system.faults.clerk import OPERATOR, Ledger
 from fleetpose.evaluation.system.faults.clicker import Clicker, Places
 from fleetpose.evaluation.system.faults.desk import clickable
 from fleetpose.evaluation.system.fleet import observed, plan_world, start, wait_started
@@ -117,8 +117,19 @@ def _kind(target: str) -> str:
     return target if target in KINDS else "robot"
 
 
-def start_desk(fleet: LocalFleet, places: list[Places], scratch: Path, pause: Path) -> None:
-    """Starts the client of an operator who clicks at the same places."""
+def start_desk(
+    fleet: LocalFleet,
+    places: list[Places],
+    scratch: Path,
+    pause: Path,
+    operator: str = OPERATOR,
+    configuration: Path | None = None,
+) -> None:
+    """Starts the client of an operator who clicks at the same places.
+
+    Args:
+        configuration: of zenoh; else the fleet's router is asked.
+    """
     pairs = [
         {
             "view_i": one.i.view.name.model_dump(),
@@ -131,7 +142,8 @@ def start_desk(fleet: LocalFleet, places: list[Places], scratch: Path, pause: Pa
     file = scratch / "places.json"
     file.write_text(json.dumps(pairs))
     files = (scratch / "updates.sqlite", file, pause)
-    where = (fleet.endpoint, fleet.site, *(str(path) for path in files))
+    router = fleet.endpoint if configuration is None else str(configuration)
+    where = (router, fleet.site, operator, *(str(path) for path in files))
     fleet.start(DESK, "fleetpose.evaluation.system.faults.clerk", *where, json_lines=True)
 
 
@@ -144,14 +156,12 @@ def kill(
     fleet: LocalFleet, observer: Observer, clicker: Clicker, ledger: Ledger, target: str
 ) -> Kill:
     """Kills a process, starts it again as a supervisor would, and waits until all flows."""
-    robots = sum(name in observer.poses() for name in fleet.names())
     in_flight = clicker.in_flight() if target != DESK else ledger.in_flight(fleet.told(DESK))
     noted = Kill(target, in_flight)
     before, killed_s = observer.server_epochs(), time.monotonic()
+    lives = observer.lives(target)
     if target == "worker":  # the server starts another one
-        family = psutil.Process(fleet.pid("server")).children(recursive=True)
-        workers = [process for process in family if not process.children()]
-        max(workers, key=lambda process: process.memory_info().rss).kill()
+        kill_worker(fleet.pid("server"))
     else:
         fleet.kill(target)
         fleet.restart(target)
@@ -160,8 +170,8 @@ def kill(
     elif target == "server":
         if not wait_running(fleet, lambda: bool(observer.server_epochs() - before), UP_WITHIN_S):
             raise FleetPoseError(f"the server is not back; its log ends:\n{fleet.tail('server')}")
-    elif target != DESK and not wait_running(
-        fleet, lambda: observer.alive_robots() == robots, UP_WITHIN_S
+    elif _kind(target) == "robot" and not wait_running(
+        fleet, lambda: bool(observer.lives(target) - lives), UP_WITHIN_S
     ):
         raise FleetPoseError(f"{target} is not back; logs: {fleet.directory}")
     up_s = time.monotonic()
@@ -176,6 +186,18 @@ def kill(
     assert first_s is not None
     noted.recovery_s = first_s - killed_s
     return noted
+
+
+def kill_worker(server: int) -> None:
+    """Kills the largest of a server's workers, if it has any at this moment."""
+    workers: list[tuple[int, psutil.Process]] = []
+    for process in psutil.Process(server).children(recursive=True):
+        with suppress(psutil.Error):  # it ended while we looked
+            if not process.children():
+                workers.append((process.memory_info().rss, process))
+    if workers:
+        with suppress(psutil.NoSuchProcess):
+            max(workers, key=lambda one: one[0])[1].kill()
 
 
 def _poses_anew(fleet: LocalFleet, observer: Observer, since_s: float) -> float:

@@ -62,7 +62,8 @@ def clickable(
         return [view for name in plan.names if (view := observer.newest_view(name)) is not None]
 
     wait_running(fleet, lambda: len(seen()) == len(plan.names), UP_WITHIN_S)
-    pairs = itertools.combinations(seen(), 2)
+    in_order = sorted(seen(), key=lambda one: one.view.name.robot)  # as clicks name pairs
+    pairs = itertools.combinations(in_order, 2)
     places = [Places(i, j, *plan.truth.correspondences(i, j)) for i, j in pairs]
     found = [one for one in places if len(one.uv_i) >= least]
     if not found:

@@ -46,6 +46,11 @@ class Heard:
         with self._lock:
             return all(known.server_epoch == epoch for known in self._sets.values())
 
+    def ids(self) -> dict[Pair, set[int]]:
+        """Of the correspondences that are there, by pair."""
+        with self._lock:
+            return {pair: {item.id for item in known.items} for pair, known in self._sets.items()}
+
     def _settle(self, receipts: Receipts) -> bool:
         """Takes receipts in; whether they tell of anything new."""
         raise NotImplementedError

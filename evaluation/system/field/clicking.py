@@ -63,8 +63,12 @@ class Clicking:
 
 
 @contextmanager
-def clicking(it: Live) -> Iterator[Clicking]:
+def clicking(it: Live, per_s: float = CLICKS_PER_S) -> Iterator[Clicking]:
     """Clicks where robots see the same, once the first click is receipted.
+
+    Args:
+        it: the fleet.
+        per_s: clicks per second.
 
     Raises:
         FleetPoseError: nothing can be clicked, or clicks are not receipted.
@@ -74,7 +78,7 @@ def clicking(it: Live) -> Iterator[Clicking]:
         closing.callback(views.close)
         places = clickable(it.fleet, it.plan, views, MIN_PLACES)
         link = closing.enter_context(it.link("operator/anna"))
-        clicker = Clicker(link, it.field.keys, places, CLICKS_PER_S, "anna")
+        clicker = Clicker(link, it.field.keys, places, per_s, "anna")
         closing.callback(clicker.close)
         found = Clicking(it, views, clicker, link)
         clicker.start()

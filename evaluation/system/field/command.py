@@ -38,7 +38,8 @@ def _parts(options: FieldOptions) -> dict[str, Part]:
         raise FleetPoseError(
             "certificates are made with cryptography: pip install 'fleetpose[deploy]'"
         ) from error
-    from fleetpose.evaluation.system.field import attacks, flood, rotate, routers, silent
+    from fleetpose.evaluation.system.field import attacks, cost, flood, rotate, routers, silent
+    from fleetpose.evaluation.system.radio import run as radio
 
     asked: dict[str, tuple[bool, Part]] = {
         "attacks": (options.attacks, attacks.run),
@@ -46,6 +47,8 @@ def _parts(options: FieldOptions) -> dict[str, Part]:
         "rotate": (options.rotate, rotate.run),
         "kills": (bool(options.kills), routers.run),
         "flood": (options.flood, flood.run),
+        "radio": (options.radio is not None, radio.run),
+        "cost": (options.cost, cost.run),
     }
     parts = {name: part for name, (wanted, part) in asked.items() if wanted}
     if not parts:

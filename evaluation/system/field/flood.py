@@ -1,4 +1,6 @@
-"""`--flood`: a robot sends as fast as it can, in four ways; do poses and clicks of others go on?"""
+"""`--flood`: a robot sends as fast as it can, in four ways; do poses and clicks of others go on?
+And a crowd of connections breaks off: how long does a new client wait?
+"""
 
 import sys
 import time
@@ -8,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fleetpose.evaluation.options.field import FieldOptions
+from fleetpose.evaluation.system.field import handshakes
 from fleetpose.evaluation.system.field.clicking import Clicking, clicking
 from fleetpose.evaluation.system.field.live import Live, live
 from fleetpose.protocol.errors import UnreachableError
@@ -41,6 +44,7 @@ def run(options: FieldOptions, folder: Path, logs: Path) -> dict[str, Any]:
                 told |= _measured(kind, it, operator, poses)
                 it.fleet.stop(f"flood-{kind}")
         account = operator.account()
+    told |= handshakes.run(folder / "handshakes", logs)
     return {**told, **account, "leftover_processes": it.fleet.leftover_processes()}
 
 

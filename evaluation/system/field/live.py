@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from fleetpose.deploy.local_fleet import LocalFleet, wait_running
+from fleetpose.deploy.local_fleet import ROBOT_NICE, LocalFleet, wait_running
 from fleetpose.evaluation.system.field.site import Field
 from fleetpose.evaluation.system.fleet import FleetPlan, RobotPlan, plan_world
 from fleetpose.hmi_client.model.onlooker import Onlooker
@@ -87,6 +87,7 @@ def live(
     robots: int = 3,
     routers: Sequence[str] = ("a",),
     located: bool = True,
+    make: Callable[..., Field] = Field,
 ) -> Iterator[Live]:
     """Routers, world, server and robots from the bundles of a new site.
 
@@ -95,21 +96,20 @@ def live(
         robots: that stand in the synthetic world.
         routers: names.
         located: wait until all robots are.
+        make: the site, given its folder and the names of robots and routers.
 
     Raises:
         FleetPoseError: they do not come up.
     """
     names = tuple(f"r{k + 1}" for k in range(robots))
-    field = Field(folder, robots=names, routers=tuple(routers))
+    field = make(folder, robots=names, routers=tuple(routers))
     plan = plan_world(names, folder, moving=False, seed=0)
     with LocalFleet(logs) as fleet:
         it = Live(field, fleet, plan)
         for name in routers:
             start_router(it, name)
         fleet.start("world", "fleetpose.evaluation", *plan.world)
-        state = ("--workers", "2", "--state-dir", str(folder / "state"))
-        config = ("--config", str(field.configuration("server")))
-        fleet.start("server", "fleetpose.pose_server", "run", *config, *state)
+        start_server(it)
         it.wait(plan.truth.is_there, "the world does not start")  # pyright: ignore[reportAttributeAccessIssue]
         for robot in plan.robots:
             start_robot(it, robot)
@@ -152,11 +152,30 @@ def wait_accepting(it: Live, name: str, within_s: float = 15.0) -> None:
         raise FleetPoseError(f"router {name} does not start: {it.fleet.tail(router_process(name))}")
 
 
-def start_robot(it: Live, robot: RobotPlan) -> None:
+def start_server(it: Live) -> None:
+    """Starts the pose server."""
+    state = ("--workers", "2", "--state-dir", str(it.field.folder / "state"))
+    config = ("--config", str(it.field.configuration("server")))
+    it.fleet.start("server", "fleetpose.pose_server", "run", *config, *state)
+
+
+def wait_server(it: Live) -> None:
+    """Waits until the pose server shows itself alive.
+
+    Raises:
+        FleetPoseError: it does not.
+    """
+    alive: list[str] = []
+    with it.link("server") as link:
+        link.on_alive(it.field.keys.server_alive("*"), lambda key, _: alive.append(key))
+        it.wait(lambda: bool(alive), "the server does not start")
+
+
+def start_robot(it: Live, robot: RobotPlan, nice: int = ROBOT_NICE) -> None:
     """Starts an agent as its unit would: configuration and settings from its machine's folder."""
     folder = it.field.install(f"robot/{robot.name}")
     settings = folder / "robot.toml"
     camera = f'name = "{robot.name}"\ncamera = "{robot.camera}"\ndata = "{robot.data}"\n'
     settings.write_text(camera)
     config = ("--config", str(folder / "zenoh.json5"), "--settings", str(settings))
-    it.fleet.start(robot.name, "fleetpose.robot_agent", "run", *config, nice=10)
+    it.fleet.start(robot.name, "fleetpose.robot_agent", "run", *config, *robot.options, nice=nice)

@@ -1,13 +1,16 @@
-"""`--silent`: a robot's link broken in ten ways. Do its agent and `pose-deploy check` say why?"""
+"""`--silent`: a robot's link broken in ten ways before its agent starts, and in two while it runs.
+Do the agent and `pose-deploy check` say why?
+"""
 
 import json
+import os
 import re
 import shutil
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from datetime import timedelta
@@ -20,12 +23,22 @@ from fleetpose.deploy.manifest import CERTIFICATE, CONFIGURATION, KEY, MANIFEST
 from fleetpose.deploy.site.certificates import Issued
 from fleetpose.evaluation.options.field import FieldOptions
 from fleetpose.evaluation.report.output import write_csv
-from fleetpose.evaluation.system.field.live import Live, live, start_router, wait_accepting
+from fleetpose.evaluation.system.field.clock import moved_clock
+from fleetpose.evaluation.system.field.live import (
+    Live,
+    live,
+    router_process,
+    start_router,
+    wait_accepting,
+)
 from fleetpose.evaluation.system.field.site import Field, listening_port
 from fleetpose.protocol.transport import wait_until
 
-WITHIN_S = 12.0
-"""So long an agent is listened to, from the start of its process on."""
+WITHIN_S = 20.0
+"""So long an agent is listened to, from the start of its process on, or from the break."""
+UP_S = 30.0
+END_S = 10.0
+LOCATED = "agent located name="
 ROBOT = "r1"
 NOT_TRIED = "not tried"
 
@@ -36,8 +49,10 @@ class Break:
 
     Attributes:
         make: breaks it, given the folder of the robot's machine; may leave things to be ended.
+        days_off: how far ahead the machine's clock is.
         words: of the cause; one of them must be in what is said.
         harmless: nothing is wrong but that a router is dead: the agent must be heard all the same.
+        running: it is made while the agent runs, and is heard.
     """
 
     name: str
@@ -45,11 +60,7 @@ class Break:
     words: str
     days_off: float = 0.0
     harmless: bool = False
-
-    @property
-    def for_agent(self) -> bool:
-        """Whether an agent can be shown it: this machine's clock is not to be moved."""
-        return not self.days_off
+    running: bool = False
 
 
 def run(
@@ -131,6 +142,17 @@ def _breaks(it: Live) -> Iterator[Break]:
         it.fleet.stop("router-a")
         closing.callback(start_router, it, "a")
 
+    def all_dead(machine: Path, closing: ExitStack) -> None:
+        first_dead(machine, closing)
+        it.fleet.stop("router-b")
+        closing.callback(start_router, it, "b")
+
+    def expires(machine: Path, _: ExitStack) -> None:
+        _put(machine, authority.issue(who, days=-0.01))
+        for router in ("a", "b"):
+            it.fleet.restart(router_process(router))
+            wait_accepting(it, router)
+
     who = Identity("robot", ROBOT)
     yield Break("expired", certificate(authority.issue(who, days=-0.01)), "expired")
     stranger = authority.issue(replace(who, generation=7), days=9)
@@ -143,6 +165,8 @@ def _breaks(it: Live) -> Iterator[Break]:
     yield Break("no TLS there", plain, "no TLS")
     yield Break("no route", no_route, "no route")
     yield Break("first router dead", first_dead, "nothing listens", harmless=True)
+    yield Break("all routers die", all_dead, "nothing listens", running=True)
+    yield Break("it expires", expires, "expired", running=True)
 
 
 def _broken(it: Live, one: Break, logs: Path) -> dict[str, Any]:
@@ -153,13 +177,20 @@ def _broken(it: Live, one: Break, logs: Path) -> dict[str, Any]:
     it.field.install(f"robot/{ROBOT}")
     settings = machine / "robot.toml"
     settings.write_text(f'name = "{ROBOT}"\ncamera = "{robot.camera}"\ndata = "{robot.data}"\n')
+    clock = moved_clock(it.field.folder, one.days_off) if one.days_off else {}
+    agent_s, agent_said = None, NOT_TRIED
     with ExitStack() as closing:
-        one.make(machine, closing)
+
+        def make() -> None:
+            one.make(machine, closing)
+
+        if not one.running:
+            make()
+        if clock is not None:
+            agent_s, agent_said = _agent(machine, one, logs, clock, make if one.running else None)
         check_s, check_said = _checked(machine, one)
-        agent_s, agent_said = None, NOT_TRIED
-        if one.for_agent:
-            agent_s, agent_said = _agent(machine, one, logs)
-    wait_accepting(it, "a")
+    for name in ("a", "b"):
+        wait_accepting(it, name)
     return {
         "cause": one.name,
         "agent_s": agent_s,
@@ -181,31 +212,48 @@ def _checked(machine: Path, one: Break) -> tuple[float | None, str]:
     return None, "; ".join(said)
 
 
-def _agent(machine: Path, one: Break, logs: Path) -> tuple[float | None, str]:
-    """Runs the agent; seconds from its first word until a warning or error names the cause."""
+def _agent(
+    machine: Path,
+    one: Break,
+    logs: Path,
+    clock: Mapping[str, str],
+    then: Callable[[], None] | None,
+) -> tuple[float | None, str]:
+    """Runs the agent; seconds until its log names the cause, and the line that does, else the last.
+
+    Args:
+        clock: variables of its environment.
+        then: breaks the link, once the agent is located; seconds are counted from then on.
+    """
     log = logs / f"agent-{one.name.replace(' ', '-')}.log"
     config = ("--config", str(machine / CONFIGURATION), "--settings", str(machine / "robot.toml"))
     command = [sys.executable, "-P", "-m", "fleetpose.robot_agent", "run", *config]
+    words = LOCATED if one.harmless else one.words
+
+    def naming(words: str) -> list[str]:
+        return [line for line in _said(log) if re.search(words, line)]
+
     with log.open("wb") as output:
         began_s = time.monotonic()
-        process = subprocess.Popen(command, stdout=output, stderr=output)
-        words = "agent located name=" if one.harmless else one.words
-        named = False
-
-        def over() -> bool:
-            nonlocal named
-            named = any(re.search(words, line) for line in _said(log))
-            return named or process.poll() is not None
-
+        environment = {**os.environ, **clock}
+        process = subprocess.Popen(command, stdout=output, stderr=output, env=environment)
         try:
-            wait_until(over, WITHIN_S, poll_s=0.1)
-            over()
+            if then is not None:
+                wait_until(lambda: bool(naming(LOCATED)), UP_S, poll_s=0.1)
+                then()
+                began_s = time.monotonic()
+            wait_until(
+                lambda: bool(naming(words)) or process.poll() is not None, WITHIN_S, poll_s=0.1
+            )
             took_s = time.monotonic() - began_s
         finally:
             process.terminate()
-            process.wait()
-    lines = _said(log)
-    return (took_s if named else None), (lines[-1] if lines else "nothing")
+            try:
+                process.wait(END_S)
+            finally:
+                process.kill()
+    found = naming(words)
+    return (took_s if found else None), (found or [*_said(log)[-1:], "nothing"])[0]
 
 
 def _said(log: Path) -> list[str]:

@@ -46,7 +46,8 @@ class Field:
     Args:
         folder: for everything.
         site: its name.
-        routers: names; each listens on a free port of 127.0.0.1.
+        routers: names; each listens on a free port of `host`.
+        host: where they are.
     """
 
     def __init__(
@@ -57,11 +58,12 @@ class Field:
         operators: tuple[str, ...] = ("anna", "ben"),
         observers: tuple[str, ...] = ("wall",),
         routers: tuple[str, ...] = ("a",),
+        host: str = "127.0.0.1",
     ) -> None:
         self.folder = folder
         told = Site(
             site=site,
-            routers={name: f"127.0.0.1:{listening_port()}" for name in routers},
+            routers={name: f"{host}:{listening_port()}" for name in routers},
             robots=robots,
             operators=operators,
             observers=observers,

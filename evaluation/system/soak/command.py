@@ -1,204 +1,190 @@
-"""`pose-eval soak`: a fleet of walking robots under an operator who clicks, for hours, while one
-process after the other is killed or frozen. Every second memory, latencies and errors are noted.
+"""`pose-eval soak`: a fleet of walking robots under operators who click, for hours, at a site with
+certificates and two routers, while something happens to one part of it after the other.
 """
 
 import random
-import signal
 import tempfile
-import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import psutil
-
-from fleetpose.deploy.local_fleet import LocalFleet, wait_running
-from fleetpose.evaluation.metrics.fleet_scoring import is_grave, score_sample
+from fleetpose.deploy.manifest import CONFIGURATION
 from fleetpose.evaluation.metrics.scoring import Limits
 from fleetpose.evaluation.options.fleets import SoakOptions
 from fleetpose.evaluation.report.output import output_folder, progress_bar
 from fleetpose.evaluation.system.faults.clerk import Ledger
 from fleetpose.evaluation.system.faults.clicker import Account, Clicker
-from fleetpose.evaluation.system.faults.crashes import (
-    DESK,
-    TARGETS,
-    kill,
-    restart_and_hear_all,
-    start_desk,
-)
+from fleetpose.evaluation.system.faults.crashes import DESK, start_desk
 from fleetpose.evaluation.system.faults.desk import clickable
-from fleetpose.evaluation.system.fleet import (
-    FleetPlan,
-    observed,
-    plan_world,
-    poses_now,
-    start,
-    wait_started,
-)
-from fleetpose.evaluation.system.memory import resident_mb
+from fleetpose.evaluation.system.field.live import router_process
 from fleetpose.evaluation.system.observer import Observer
-from fleetpose.evaluation.system.soak.report import Second, Soaked, Trouble, write_results
-from fleetpose.protocol.transport import wait_until
+from fleetpose.evaluation.system.soak.noting import Noting
+from fleetpose.evaluation.system.soak.report import Soaked, write_results
+from fleetpose.evaluation.system.soak.site import (
+    DESK_OPERATOR,
+    RESTLESS,
+    ROUTERS,
+    STARTED_WITHIN_S,
+    SoakSite,
+    soak_site,
+)
+from fleetpose.evaluation.system.soak.troubles import Trouble, Troubles
+from fleetpose.protocol.transport import Link, wait_until
 
 CLICKS_PER_S = 2.0
-FROZEN_S = 5.0
-SETTLED_WITHIN_S = 30.0
-_FREEZABLE = ("router", "server", "robot")
+FLOWS_WITHIN_S = 120.0
+SETTLED_WITHIN_S = 60.0
+_POLL_S = 0.25
 _MIN_PLACES = 30
 
 
 def run(options: SoakOptions, out: Path) -> dict[str, Any]:
-    """Runs the fleet for so long; writes seconds.csv, troubles.csv, plots and summary.json.
+    """Runs the fleet for so long; writes seconds.csv, memory.csv, troubles.csv, soak.png and
+    summary.json.
 
     Raises:
-        FleetPoseError: the fleet does not come up, or not again after a trouble.
-        ProcessEndedError: a process ended that nobody killed.
+        FleetPoseError: the fleet does not come up.
     """
-    seconds = 3600.0 * options.hours
     logs = output_folder(out) / "logs"
     with tempfile.TemporaryDirectory(prefix="fleetpose-") as made, ExitStack() as closing:
         scratch = Path(made)
-        names = [f"r{k + 1}" for k in range(options.robots)]
-        plan = plan_world(names, scratch, moving=True, seed=options.seed)
-        slower = tuple(replace(robot, rate_hz=options.rate_hz) for robot in plan.robots)
-        plan = replace(plan, robots=slower)
-        fleet = closing.enter_context(LocalFleet(logs))
-        start(fleet, plan, 2, scratch / "state")
-        observer = closing.enter_context(observed(fleet))
-        wait_started(fleet, observer, options.robots)
-        soak = _Soak.begin(fleet, plan, observer, scratch, random.Random(options.seed))
-        closing.callback(soak.clicker.close)
+        how = (options.robots, options.rate_hz, options.seed)
+        site = closing.enter_context(soak_site(scratch, logs, *how))
+        soak = _Soak.begin(site, closing)
         with progress_bar() as progress:
-            task = progress.add_task("seconds", total=int(seconds))
-            soak.run(seconds, options.trouble_s, lambda: progress.advance(task))
-        account, told = soak.finish(scratch / "pause")
-        soaked = Soaked(
-            plan.names,
-            soak.seconds,
-            soak.troubles,
-            receipted=soak.clicker.receipted + soak.ledger.receipted(fleet.told(DESK)),
-            account=account,
-            told=told,
-            undecodable=observer.undecodable,
-        )
-    return write_results(out, soaked)
+            task = progress.add_task("seconds", total=int(3600.0 * options.hours))
+            noted = soak.run(options, lambda: progress.advance(task))
+        return write_results(out, soak.finish(noted))
 
 
 @dataclass
 class _Soak:
-    fleet: LocalFleet
-    plan: FleetPlan
+    """The fleet, who clicks, and what has happened so far."""
+
+    site: SoakSite
     observer: Observer
     clicker: Clicker
     ledger: Ledger
-    chance: random.Random
-    limits: Limits
-    seconds: list[Second] = field(default_factory=list)
+    pause: Path
+    ended: list[str] = field(default_factory=list)
     troubles: list[Trouble] = field(default_factory=list)
-    _views_told: int = 0
-    _began_s: float = 0.0
 
     @classmethod
-    def begin(
-        cls,
-        fleet: LocalFleet,
-        plan: FleetPlan,
-        observer: Observer,
-        scratch: Path,
-        chance: random.Random,
-    ) -> "_Soak":
-        places = clickable(fleet, plan, observer, _MIN_PLACES)
-        clicker = Clicker(observer.link, observer.keys, places, CLICKS_PER_S)
+    def begin(cls, site: SoakSite, closing: ExitStack) -> "_Soak":
+        """Waits until all robots are there, and begins to click.
+
+        Raises:
+            FleetPoseError: they are not, or no two of them see the same.
+        """
+
+        def link(who: str) -> Link:
+            return closing.enter_context(site.it.link(who))
+
+        keys, pause = site.it.field.keys, site.folder / "pause"
+        observer = Observer(link("observer/wall"), keys, as_server=link("server"))
+        closing.callback(observer.close)
+        site.it.wait(
+            lambda: observer.server_alive() and observer.alive_robots() == len(site.robots),
+            "server and robots are not up",
+            STARTED_WITHIN_S,
+        )
+        places = clickable(site.fleet, site.it.plan, observer, _MIN_PLACES)
+        operator = f"operator/{RESTLESS}"
+        clicker = Clicker(link(operator), keys, places, CLICKS_PER_S, RESTLESS)
+        closing.callback(clicker.close)
+        desk = f"operator/{DESK_OPERATOR}"
+        ledger = Ledger(link(desk), keys, DESK_OPERATOR)
+        configuration = site.install(desk) / CONFIGURATION
+        start_desk(site.fleet, places, site.folder, pause, DESK_OPERATOR, configuration)
         clicker.start()
-        ledger = Ledger(observer.link, observer.keys)
-        start_desk(fleet, places, scratch, scratch / "pause")
-        limits = Limits.of(plan.truth.median_depth_m(observer.newest_views()), plan.truth.rgbd)
-        return cls(fleet, plan, observer, clicker, ledger, chance, limits)
+        return cls(site, observer, clicker, ledger, pause)
 
-    def run(self, seconds: float, trouble_s: float, progress: Callable[[], None]) -> None:
-        """Makes trouble every so many seconds; another thread notes every second."""
-        self._began_s = time.monotonic()
-        ended = threading.Event()
-        noting = threading.Thread(target=self._note_all, args=(ended, progress), daemon=True)
-        noting.start()
-        try:
-            while (now_s := self._now_s()) + trouble_s < seconds:
-                wait_running(self.fleet, lambda: False, trouble_s)
-                self._trouble()
-            wait_running(self.fleet, lambda: False, seconds - now_s)
-        finally:
-            ended.set()
-            noting.join()
+    def run(self, options: SoakOptions, progress: Callable[[], None]) -> Noting:
+        """Makes trouble after trouble, so many seconds apart; another thread notes every second."""
+        truth, seconds = self.site.truth, 3600.0 * options.hours
+        limits = Limits.of(truth.median_depth_m(self.observer.newest_views()), truth.rgbd)
+        watched = ("server", *map(router_process, ROUTERS), *self.site.robots, DESK)
+        noting = Noting(self.site, self.observer, self.clicker, limits, watched, progress)
+        chance = random.Random(options.seed)
+        troubles = Troubles(self.site, self.observer, chance, self._wait)
+        with noting:
+            for kind in troubles.order():
+                if noting.now_s() + options.trouble_s >= seconds:
+                    break
+                self._wait(lambda: False, options.trouble_s)
+                self.troubles.append(self._trouble(kind, troubles, noting))
+            self._wait(lambda: False, seconds - noting.now_s())
+        return noting
 
-    def finish(self, pause: Path) -> tuple[Account, bool]:
-        """Ends the clicking; compares what the server kept with what it receipted; whether all was
-        settled and told.
+    def finish(self, noted: Noting) -> Soaked:
+        """Ends the clicking, has the server started anew in good order, and compares what it tells
+        then with what it receipted.
         """
         self.clicker.pause()
-        pause.touch()
-        settled = self.clicker.settled(SETTLED_WITHIN_S) and wait_until(
-            lambda: self.ledger.in_flight(self.fleet.told(DESK)) == 0, SETTLED_WITHIN_S
-        )
-        told = restart_and_hear_all(self.fleet, self.observer, self.clicker, self.ledger)
+        self.pause.touch()
+        settled = self._wait(lambda: not self._in_flight(), SETTLED_WITHIN_S)
+        before = self.observer.server_epochs()
+        self.site.fleet.restart("server")
+        told = self._wait(lambda: self._heard_all(before), FLOWS_WITHIN_S)
         account = self.clicker.account()
-        lost, doubled = self.ledger.account(self.fleet.told(DESK), self.clicker.erased())
-        account.lost.extend(lost)
-        account.doubled.extend(doubled)
-        return account, settled and told
-
-    def _now_s(self) -> float:
-        return time.monotonic() - self._began_s
-
-    def _note_all(self, ended: threading.Event, progress: Callable[[], None]) -> None:
-        while not ended.wait(1.0):
-            self._note(self._now_s())
-            progress()
-
-    def _note(self, now_s: float) -> None:
-        anchor = None if self.observer.state is None else self.observer.state.anchor
-        rows = score_sample(
-            now_s, self.plan.names, poses_now(self.observer, self.plan.truth), anchor
-        )
-        waits_s = self.observer.view_to_pose_s[self._views_told :]
-        self._views_told += len(waits_s)
-        self.seconds.append(
-            Second(
-                at_s=now_s,
-                located=sum(row.located for row in rows),
-                grave=sum(is_grave(row, self.limits) for row in rows),
-                server_mb=resident_mb(self.fleet.pid("server")),
-                router_mb=resident_mb(self.fleet.pid("router")),
-                robots_mb=max(resident_mb(self.fleet.pid(name)) for name in self.plan.names),
-                operator_mb=resident_mb(self.fleet.pid(DESK)),
-                view_to_pose_s=max(waits_s, default=None),
-                in_flight=self.clicker.in_flight(),
-            )
+        posted = self.site.fleet.told(DESK)
+        lost, doubled = self.ledger.account(posted, self.clicker.erased())
+        return Soaked(
+            robots=self.site.robots,
+            seconds=noted.seconds,
+            memory=noted.memory,
+            troubles=self.troubles,
+            views_s=list(self.observer.view_to_pose_s),
+            clicks_s=list(self.clicker.waits_s),
+            receipted=self.clicker.receipted + self.ledger.receipted(posted),
+            account=Account(account.lost + lost, account.doubled + doubled),
+            settled=settled and told,
+            ended=self.ended,
+            undecodable=self.observer.undecodable,
         )
 
-    def _trouble(self) -> None:
-        """Kills a process and has it started again, or lets one stand still for a while."""
-        now_s = self._now_s()
-        if self.chance.random() < len(_FREEZABLE) / (len(_FREEZABLE) + len(set(TARGETS))):
-            target = self._one_of(self.chance.choice(_FREEZABLE))
-            self._freeze(target)
-            self.troubles.append(Trouble(now_s, "frozen", target, self._now_s() - now_s))
-        else:
-            target = self._one_of(self.chance.choice(TARGETS))
-            noted = kill(self.fleet, self.observer, self.clicker, self.ledger, target)
-            self.troubles.append(Trouble(now_s, "killed", target, noted.recovery_s))
+    def _trouble(self, kind: str, troubles: Troubles, noting: Noting) -> Trouble:
+        """Makes a trouble and waits until all flows again; how long what stayed away."""
+        began_s = time.monotonic()
+        target = troubles.make(kind)
+        over_s = time.monotonic()
+        flowed = self._wait(lambda: self._flows(over_s), FLOWS_WITHIN_S)
+        until_s = time.monotonic()
+        poses_s = max(
+            self.observer.longest_pose_gap_s(robot, began_s, until_s) for robot in self.site.robots
+        )
+        receipts_s = max(who.longest_gap_s(began_s, until_s) for who in (self.clicker, self.ledger))
+        at_s = began_s - noting.began_s
+        until_s -= noting.began_s
+        return Trouble(at_s, until_s, kind, target, poses_s, receipts_s, flowed)
 
-    def _one_of(self, target: str) -> str:
-        return self.chance.choice(self.plan.names) if target == "robot" else target
+    def _flows(self, since_s: float) -> bool:
+        """Whether each robot got a new pose, and both operators receipts."""
+        posed = (self.observer.first_pose_s((one,), since_s) for one in self.site.robots)
+        heard = (who.first_receipt_s(since_s) for who in (self.clicker, self.ledger))
+        return all(at_s is not None for at_s in (*posed, *heard))
 
-    def _freeze(self, target: str) -> None:
-        """Stops a process and its children for a while, as a machine does that swaps."""
-        process = psutil.Process(self.fleet.pid(target))
-        family = [process, *process.children(recursive=True)]
-        for one in family:
-            one.send_signal(signal.SIGSTOP)
-        wait_until(lambda: False, FROZEN_S)
-        for one in family:
-            one.send_signal(signal.SIGCONT)
+    def _in_flight(self) -> int:
+        return self.clicker.in_flight() + self.ledger.in_flight(self.site.fleet.told(DESK))
+
+    def _heard_all(self, before: set[str]) -> bool:
+        """Whether a new server has told of all pairs."""
+        new = self.observer.server_epochs() - before
+        return any(self.clicker.heard_all(one) and self.ledger.heard_all(one) for one in new)
+
+    def _wait(self, condition: Callable[[], bool], within_s: float) -> bool:
+        """Waits for a condition; a process that ends though nobody ended it is noted and started
+        again. Whether the condition came about.
+        """
+        end_s = time.monotonic() + within_s
+        while not (met := wait_until(condition, min(_POLL_S, max(end_s - time.monotonic(), 0.0)))):
+            for name, last_lines in self.site.fleet.exited().items():
+                print(f"{name} ended though nobody ended it; its log ends:\n{last_lines}")
+                self.ended.append(name)
+                self.site.fleet.restart(name)
+            if time.monotonic() >= end_s:
+                break
+        return met

@@ -12,6 +12,10 @@ from pydantic import ValidationError
 from fleetpose.protocol.errors import CalibrationError, DataFolderError
 from fleetpose.protocol.messages import Camera, NoiseModel
 
+NO_DEPTH = 65535
+_AS_IT_LIES = cv2.IMREAD_IGNORE_ORIENTATION
+"""EXIF would turn the colour image, and not its depth or its other eye."""
+
 
 def read_colour(path: Path) -> npt.NDArray[np.uint8]:
     """A colour image (H, W, 3) uint8 BGR.
@@ -19,10 +23,18 @@ def read_colour(path: Path) -> npt.NDArray[np.uint8]:
     Raises:
         DataFolderError: there is no such image.
     """
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    image = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR | _AS_IT_LIES)
     if image is None:
         raise DataFolderError(f"{path} is missing or no image")
+    if image.dtype == np.uint16:
+        image = _eight_bits(np.asarray(image, np.uint16))
     return np.asarray(image, np.uint8)
+
+
+def _eight_bits(image: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint8]:
+    """Of a sensor of 10, 12, 14 or 16 bits, which is written into the lower ones of 16."""
+    bits = next(bits for bits in (8, 10, 12, 14, 16) if image.max() < 1 << bits)
+    return (image >> (bits - 8)).astype(np.uint8)
 
 
 def read_depth(path: Path, steps_per_m: float, furthest_m: float) -> npt.NDArray[np.float32]:
@@ -31,13 +43,23 @@ def read_depth(path: Path, steps_per_m: float, furthest_m: float) -> npt.NDArray
     Raises:
         DataFolderError: there is no such image.
     """
+    raw = read_raw_depth(path)
+    depth = raw.astype(np.float32)
+    depth /= np.float32(steps_per_m)
+    depth[(raw == 0) | (raw == NO_DEPTH) | (depth > furthest_m)] = np.nan
+    return depth
+
+
+def read_raw_depth(path: Path) -> npt.NDArray[np.uint16]:
+    """A 16-bit depth image (H, W) as it is written, 0 or 65535 where there is none.
+
+    Raises:
+        DataFolderError: there is no such image.
+    """
     raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if raw is None or raw.dtype != np.uint16 or raw.ndim != 2:
         raise DataFolderError(f"{path} is missing or no 16-bit depth image")
-    depth = raw.astype(np.float32)
-    depth /= np.float32(steps_per_m)
-    depth[(raw == 0) | (raw == 65535) | (depth > furthest_m)] = np.nan
-    return depth
+    return np.asarray(raw, np.uint16)
 
 
 def read_json(path: Path) -> Any:
@@ -50,6 +72,35 @@ def read_json(path: Path) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise DataFolderError(f"{path} cannot be read as JSON: {error}") from error
+
+
+def read_numbers(path: Path) -> npt.NDArray[np.float64]:
+    """The numbers of a text file, a row a line: between spaces, commas or semicolons, with or
+    without a byte order mark, and lines that begin with # left out.
+
+    Raises:
+        CalibrationError: a line holds something else, or not as many numbers as the first.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, ValueError) as error:
+        raise CalibrationError(f"{path} cannot be read: {error}") from error
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines, 1):
+        words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
+        if not words:
+            continue
+        try:
+            rows.append([float(word) for word in words])
+        except ValueError as error:
+            raise CalibrationError(
+                f"{path}, line {number}: '{line.strip()[:40]}' is no row of numbers"
+            ) from error
+        if len(rows[-1]) != len(rows[0]):
+            raise CalibrationError(
+                f"{path}, line {number} has {len(rows[-1])} numbers, the first {len(rows[0])}"
+            )
+    return np.array(rows, np.float64)
 
 
 def model_of(where: str, **fields: Any) -> Camera:

@@ -1,9 +1,10 @@
 """Stereo: two images of a calibrated rig become one rectified image with disparities.
 
 The pairs come from a folder, a video or a device (`stereo.pairs`), the calibration from a file
-(`stereo.rig`).
+(`calibrations.reading`).
 """
 
+import logging
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -16,12 +17,16 @@ import numpy.typing as npt
 from fleetpose.protocol.errors import CalibrationError
 from fleetpose.protocol.messages import NoiseModel
 from fleetpose.robot_agent.cameras.base import DisparityImage, Frame
+from fleetpose.robot_agent.cameras.calibrations.reading import TOOLS, read_rig, read_rig_file
 from fleetpose.robot_agent.cameras.folders.files import model_of
-from fleetpose.robot_agent.cameras.stereo.pairs import PairSource, open_pairs
+from fleetpose.robot_agent.cameras.stereo.pairs import ImagePair, PairSource, open_pairs
 from fleetpose.robot_agent.cameras.stereo.rectify import Rectifier
-from fleetpose.robot_agent.cameras.stereo.rig import StereoRig, read_rig, read_rig_file
+from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
 from fleetpose.robot_agent.cameras.stereo.video import VideoSettings
 from fleetpose.robot_agent.cameras.still import StillImage
+from fleetpose.robot_agent.cameras.understood import THIN_DEPTH, understood_of
+
+log = logging.getLogger(__name__)
 
 Image = npt.NDArray[np.uint8]
 Disparity = npt.NDArray[np.float32]
@@ -34,6 +39,8 @@ NEAREST_BASELINES = 7.0  # nothing nearer is searched for, unless it is asked fo
 MIN_DISPARITY_PX = 2.0  # beyond, depth is so vague that its error is no longer a Gaussian
 MAX_LEFT_RIGHT_DIFFERENCE_PX = 1.0
 MIN_SLOPE = 1.5  # mean grey levels per px along the row: below, sensor noise decides the match
+
+_SURELY = 3.0
 
 _SUBPIXELS = 16  # of OpenCV's fixed point
 _BLOCK = 5
@@ -143,12 +150,38 @@ class StereoCamera:
 
     def frames(self) -> Iterator[Frame]:
         live = self._source.folder is None
-        for pair in self._source.pairs():
+        for count, pair in enumerate(self._source.pairs()):
             frame = self._matcher.frame(pair.left, pair.right, pair.stamp_ns)
+            if not count:
+                self._check_eyes(pair, frame)
             yield replace(frame, raw=(pair.left, pair.right)) if live else frame
 
     def close(self) -> None:
         self._source.close()
+
+    def _check_eyes(self, pair: ImagePair, frame: Frame) -> None:
+        """Hardly any depth at the start has few causes, and one of them can be tried.
+
+        Raises:
+            CalibrationError: the other way round there is much more.
+        """
+        share = understood_of(frame).share or 0.0
+        if share >= THIN_DEPTH:
+            return
+        swapped = self._matcher.frame(pair.right, pair.left, pair.stamp_ns)
+        other = understood_of(swapped).share or 0.0
+        name = self._source.name
+        if other > THIN_DEPTH and other > _SURELY * share:
+            raise CalibrationError(
+                f"{name}: {share:.0%} of the pixels have depth, {other:.0%} if the eyes change "
+                "places: exchange the left and the right images, or R and t of the calibration "
+                "are inverted (x_right = R x_left + t, so t[0] is below 0)"
+            )
+        log.warning(
+            "%s: only %.0f %% of the pixels have depth: is a lens dark or covered, does the "
+            "calibration fit (robot-agent calibrate-check), is there texture in sight?",
+            *(name, 100 * share),
+        )
 
 
 def open_camera(
@@ -157,12 +190,14 @@ def open_camera(
     calibration: Path | None = None,
     video: VideoSettings | None = None,
     stop: threading.Event | None = None,
+    translation_unit: float | None = None,
 ) -> StereoCamera:
     """Opens a stereo camera.
 
     Args:
         source, replay, video, stop: see `open_pairs`.
         calibration: its file; without one it is looked for beside the images.
+        translation_unit: metres that one of the calibration's translation is; None: metres.
 
     Raises:
         DataFolderError: images are missing.
@@ -171,30 +206,32 @@ def open_camera(
     """
     pairs = open_pairs(source, replay, video, stop)
     try:
-        return StereoCamera(StereoMatcher(calibrated(pairs, calibration)), pairs)
+        return StereoCamera(StereoMatcher(calibrated(pairs, calibration, translation_unit)), pairs)
     except Exception:
         pairs.close()
         raise
 
 
-def calibrated(pairs: PairSource, calibration: Path | None) -> StereoRig:
+def calibrated(
+    pairs: PairSource, calibration: Path | None, translation_unit: float | None = None
+) -> StereoRig:
     """The rig of a source.
 
     Args:
         pairs: the source.
         calibration: the file; without one it is looked for beside the images.
+        translation_unit: metres that one of its translation is; None: metres.
 
     Raises:
         CalibrationError: it is missing, impossible, or made for images of another size.
     """
     if calibration is not None:
-        rig = read_rig_file(calibration, pairs.size)
+        rig = read_rig_file(calibration, pairs.size, translation_unit)
     elif pairs.folder is not None:
-        rig = read_rig(pairs.folder, pairs.size)
+        rig = read_rig(pairs.folder, pairs.size, translation_unit)
     else:
         raise CalibrationError(
-            f"{pairs.name} needs its calibration: give --calibration FILE (stereo.json, OpenCV's "
-            "yml or xml, Kalibr's camchain yaml)"
+            f"{pairs.name} needs its calibration: give --calibration FILE of {TOOLS}"
         )
     if rig.size != pairs.size:
         raise CalibrationError(

@@ -14,6 +14,12 @@ import numpy.typing as npt
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.robot_agent.cameras.base import CameraError
 from fleetpose.robot_agent.cameras.folders.files import read_colour
+from fleetpose.robot_agent.cameras.folders.pairing import (
+    MAX_SKEW_MS,
+    eyes_of,
+    list_images,
+    paired,
+)
 from fleetpose.robot_agent.cameras.reader import Reader
 from fleetpose.robot_agent.cameras.replay import replay_order
 from fleetpose.robot_agent.cameras.stereo.video import (
@@ -26,7 +32,6 @@ from fleetpose.robot_agent.cameras.stereo.video import (
 
 log = logging.getLogger(__name__)
 
-ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 SILENCE_S = 15.0  # longer than a device that was unplugged is waited for
 SKEW_PATIENCE_S = 5.0
 _POLL_S = 0.1
@@ -96,7 +101,7 @@ def open_pairs(
     if not source:
         raise DataFolderError("give --data: a folder, a video file, a device, or left,right")
     if Path(source).is_dir() and not is_device(source):
-        return PairFolder(Path(source), replay)
+        return PairFolder(Path(source), replay, (video or VideoSettings()).max_skew_ms)
     names = [source]
     if not Path(source).exists() and "," in source:
         names = [name.strip() for name in source.split(",")]
@@ -118,23 +123,20 @@ def open_pairs(
 
 
 class PairFolder:
-    """Recorded pairs: images of `left/` and `right/` at the same place when sorted by name."""
+    """Recorded pairs: images of `left/` and `right/` (or of another layout) that belong together by
+    their names or stamps.
+    """
 
     own_pace = False
 
-    def __init__(self, folder: Path, replay: str) -> None:
-        left, right = (_images(folder / side) for side in ("left", "right"))
-        if len(left) != len(right):
-            raise DataFolderError(
-                f"{folder} has {len(left)} left and {len(right)} right images: "
-                "each needs its partner"
-            )
+    def __init__(self, folder: Path, replay: str, max_skew_ms: float = MAX_SKEW_MS) -> None:
+        left, right = eyes_of(folder)
         self.name = str(folder)
         self.folder: Path | None = folder
-        height, width = read_colour(left[0]).shape[:2]
+        self._pairs = paired(list_images(left), list_images(right), max_skew_ms)
+        height, width = read_colour(self._pairs[0][0]).shape[:2]
         self.size = width, height
-        self._pairs = list(zip(left, right, strict=True))
-        self._order = replay_order(len(left), replay)
+        self._order = replay_order(len(self._pairs), replay)
 
     def pairs(self) -> Iterator[ImagePair]:
         for index in self._order:
@@ -308,10 +310,3 @@ def _check_together(players: list[Player]) -> None:
                 f"{one.name} has {one.count} frames, {other.name} has {other.count}: "
                 "each needs its partner"
             )
-
-
-def _images(folder: Path) -> list[Path]:
-    images = sorted(p for p in folder.glob("*") if p.suffix.lower() in ENDINGS)
-    if not images:
-        raise DataFolderError(f"{folder} has no images ({', '.join(ENDINGS)})")
-    return images

@@ -30,11 +30,7 @@ class Rectifier:
         self._maps: list[tuple[npt.NDArray, npt.NDArray]] = []
         if rig.is_rectified:
             return
-        R, t = rig.T_right_left[:3, :3], rig.T_right_left[:3, 3:]
-        R_rect_left, R_rect_right, P_left, P_right = cv2.stereoRectify(
-            rig.K_left, rig.D_left, rig.K_right, rig.D_right, rig.size, R, t,
-            flags=cv2.CALIB_ZERO_DISPARITY, alpha=0,
-        )[:4]  # fmt: skip
+        R_rect_left, R_rect_right, P_left, P_right = _rectified(rig)
         self.K = np.array(P_left[:, :3], np.float64)
         self.baseline_m = -float(P_right[0, 3] / P_right[0, 0])
         self.R_rect_left, self.R_rect_right = np.array(R_rect_left), np.array(R_rect_right)
@@ -46,9 +42,7 @@ class Rectifier:
             (rig.K_left, rig.D_left, R_rect_left, P_left),
             (rig.K_right, rig.D_right, R_rect_right, P_right),
         ):
-            self._maps.append(
-                cv2.initUndistortRectifyMap(K, D, R_rect, P, rig.size, cv2.CV_32FC1)  # pyright: ignore[reportArgumentType]
-            )
+            self._maps.append(_maps(rig, K, D, R_rect, P))
 
     def left(self, image: Image) -> Image:
         """The left image (H, W) or (H, W, 3), rectified."""
@@ -62,6 +56,35 @@ class Rectifier:
         if not self._maps:
             return image
         return np.asarray(cv2.remap(image, *self._maps[side], cv2.INTER_LINEAR), np.uint8)
+
+
+def _rectified(rig: StereoRig) -> tuple[Floats, Floats, Floats, Floats]:
+    """Rotations (3, 3) to the rectified axes and projections (3, 4), left, right, left, right."""
+    R, t = rig.T_right_left[:3, :3].copy(), rig.T_right_left[:3, 3:].copy()  # as OpenCV wants it
+    if rig.lens == "fisheye":
+        found = cv2.fisheye.stereoRectify(
+            rig.K_left, _four(rig.D_left), rig.K_right, _four(rig.D_right), rig.size, R, t,
+            flags=cv2.CALIB_ZERO_DISPARITY, balance=0.0,
+        )  # fmt: skip
+    else:
+        found = cv2.stereoRectify(
+            rig.K_left, rig.D_left, rig.K_right, rig.D_right, rig.size, R, t,
+            flags=cv2.CALIB_ZERO_DISPARITY, alpha=0,
+        )  # fmt: skip
+    R_left, R_right, P_left, P_right = (np.array(one, np.float64) for one in found[:4])
+    return R_left, R_right, P_left, P_right
+
+
+def _maps(
+    rig: StereoRig, K: Floats, D: Floats, R: Floats, P: Floats
+) -> tuple[npt.NDArray, npt.NDArray]:
+    if rig.lens == "fisheye":
+        return cv2.fisheye.initUndistortRectifyMap(K, _four(D), R, P[:, :3], rig.size, cv2.CV_32FC1)
+    return cv2.initUndistortRectifyMap(K, D, R, P, rig.size, cv2.CV_32FC1)  # pyright: ignore[reportArgumentType]
+
+
+def _four(D: Floats) -> Floats:
+    return D.reshape(-1)[:4].reshape(4, 1)
 
 
 def _check_rectified(K: Floats, baseline_m: float, rig: StereoRig) -> None:

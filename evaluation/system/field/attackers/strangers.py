@@ -12,7 +12,7 @@ import zenoh
 from fleetpose.deploy.identity import Identity
 from fleetpose.deploy.manifest import CA, CONFIGURATION
 from fleetpose.deploy.site.certificates import Authority
-from fleetpose.evaluation.system.field.attempts import EVIL
+from fleetpose.evaluation.system.field.attackers.attempts import EVIL
 from fleetpose.evaluation.system.field.site import Change, Field, opened
 from fleetpose.pose_server.routing.denials import STRANGER
 
@@ -24,12 +24,12 @@ class Stranger:
     """One who tries to get in.
 
     Attributes:
-        cause: that the router should tell; none where TLS itself is missing.
+        cause: that the router should tell.
         enters: a session can be opened, in which nothing passes.
     """
 
     name: str
-    cause: str | None
+    cause: str
     open: Callable[[], zenoh.Session]
     enters: bool = False
 
@@ -68,7 +68,7 @@ def strangers(field: Field) -> Iterator[Stranger]:
     said = "of another authority with this site's name"
     yield Stranger("other site of this name", said, of_same)
     yield Stranger("no certificate", "without a certificate", changed(nothing))
-    yield Stranger("no TLS", None, changed(plain))
+    yield Stranger("no TLS", "without TLS", changed(plain))
     unknown = authority.issue(Identity("robot", "r99"), days=9)
     yield Stranger("unknown to the rules", STRANGER, forged("unknown", unknown), enters=True)
     old = authority.issue(Identity("robot", "r1", 9), days=9)

@@ -1,0 +1,50 @@
+"""Robots that see hardly anything that has depth: named, and nobody is asked about them."""
+
+import logging
+
+from fleetpose.pose_server.state.robots import Robot
+from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import KeptView
+from fleetpose.protocol.messages import Alarm
+
+log = logging.getLogger("pose_server")
+
+LEAST_POINTS = 30
+"""Points with depth: with fewer, of which some are wrong and few are shared, an alignment has
+hardly the dozen inliers that it needs, and an operator hardly anything to click at."""
+_LEFT = 0.1  # of what the robot's own keyframes have
+
+
+def note_blind(site: Site, robot: Robot, view: KeptView) -> None:
+    """Notes whether a robot's newest view has hardly any depth; that it begins or ends is an
+    event.
+    """
+    usual = max(
+        (
+            site.views[keyframe].depth_points
+            for keyframe in robot.track.keyframes
+            if keyframe in site.views and keyframe != view.name
+        ),
+        default=0,
+    )
+    had = f" where its keyframes have up to {usual}" if usual else ""
+    text = (
+        f"{robot.name} sees hardly anything that has depth ({view.depth_points} points{had}): is a "
+        "lens dark or covered, is an eye frozen, has a camera moved (robot-agent calibrate-check), "
+        "or is there only a blank wall?"
+    )
+    is_blind = view.depth_points < max(LEAST_POINTS, _LEFT * usual)
+    if is_blind != bool(robot.blind):
+        said = text if is_blind else f"{robot.name} sees enough that has depth again"
+        site.say(said)
+        log.warning("blind robot=%s text=%s", robot.name, said)
+    robot.note_blind(text if is_blind else "")
+
+
+def blind_alarms(site: Site) -> tuple[Alarm, ...]:
+    """An alarm for every robot that is there and sees hardly anything."""
+    return tuple(
+        Alarm(robot=name, kind="blind", text=robot.blind)
+        for name, robot in sorted(site.robots.items())
+        if robot.blind and robot.alive
+    )
