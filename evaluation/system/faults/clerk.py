@@ -79,12 +79,19 @@ class Ledger(Heard):
 
 
 def work(
-    settings: SessionSettings, site: str, operator: str, kept: Path, places: Path, pause: Path
+    settings: SessionSettings,
+    site: str,
+    operator: str,
+    period_s: float,
+    kept: Path,
+    places: Path,
+    pause: Path,
 ) -> None:
     """Clicks until ended; while the file `pause` is there it only goes on offering.
 
     Args:
         settings: of the connection; site: of its keys; operator: who clicks.
+        period_s: between two clicks.
         kept: the operator's file of updates on their way.
         places: JSON, a list of pairs: both views and where to click, `view_i`, `view_j`, `uv_i`,
             `uv_j`.
@@ -94,7 +101,7 @@ def work(
     session = OperatorSession(operator, kept=UpdateLog(kept))
     with Client(session, Keys(site), lambda: Link(open_session(settings))):
         while True:
-            time.sleep(PERIOD_S)
+            time.sleep(period_s)
             if pause.exists() or len(session.open_updates()) >= MAX_OPEN:
                 continue
             pair = chance.choice(pairs)
@@ -110,16 +117,16 @@ def work(
 
 
 def main() -> None:
-    """Arguments ROUTER SITE OPERATOR KEPT PLACES PAUSE; ROUTER: an endpoint, or a file of zenoh's
-    configuration.
+    """Arguments ROUTER SITE OPERATOR PERIOD KEPT PLACES PAUSE; ROUTER: an endpoint, or a file of
+    zenoh's configuration.
     """
-    router, site, operator, *files = sys.argv[1:]
+    router, site, operator, period_s, *files = sys.argv[1:]
     log_to_stderr()
     if router.endswith(".json5"):
         settings = SessionSettings(config_file=Path(router), timeout_s=CONNECT_S)
     else:
         settings = SessionSettings(connect=(router,), timeout_s=CONNECT_S)
-    work(settings, site, operator, *(Path(file) for file in files))
+    work(settings, site, operator, float(period_s), *(Path(file) for file in files))
 
 
 if __name__ == "__main__":

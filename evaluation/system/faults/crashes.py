@@ -14,7 +14,7 @@ import psutil
 
 from fleetpose.deploy.local_fleet import LocalFleet, wait_running
 from fleetpose.evaluation.report.output import write_csv
-from fleetpose.evaluation.system.faults.clerk import OPERATOR, Ledger
+from fleetpose.evaluation.system.faults.clerk import OPERATOR, PERIOD_S, Ledger
 from fleetpose.evaluation.system.faults.clicker import Clicker, Places
 from fleetpose.evaluation.system.faults.desk import clickable
 from fleetpose.evaluation.system.fleet import observed, plan_world, start, wait_started
@@ -124,11 +124,13 @@ def start_desk(
     pause: Path,
     operator: str = OPERATOR,
     configuration: Path | None = None,
+    period_s: float = PERIOD_S,
 ) -> None:
     """Starts the client of an operator who clicks at the same places.
 
     Args:
         configuration: of zenoh; else the fleet's router is asked.
+        period_s: between two clicks.
     """
     pairs = [
         {
@@ -143,7 +145,7 @@ def start_desk(
     file.write_text(json.dumps(pairs))
     files = (scratch / "updates.sqlite", file, pause)
     router = fleet.endpoint if configuration is None else str(configuration)
-    where = (router, fleet.site, operator, *(str(path) for path in files))
+    where = (router, fleet.site, operator, str(period_s), *(str(path) for path in files))
     fleet.start(DESK, "fleetpose.evaluation.system.faults.clerk", *where, json_lines=True)
 
 

@@ -34,7 +34,10 @@ from fleetpose.evaluation.system.soak.site import (
 from fleetpose.evaluation.system.soak.troubles import Trouble, Troubles
 from fleetpose.protocol.transport import Link, wait_until
 
-CLICKS_PER_S = 2.0
+CLICKS_PER_S = 0.5
+"""Of each of two operators who are in a hurry: more would have the server align their pairs all the
+time, and views would wait.
+"""
 FLOWS_WITHIN_S = 120.0
 SETTLED_WITHIN_S = 60.0
 _POLL_S = 0.25
@@ -98,7 +101,8 @@ class _Soak:
         desk = f"operator/{DESK_OPERATOR}"
         ledger = Ledger(link(desk), keys, DESK_OPERATOR)
         configuration = site.install(desk) / CONFIGURATION
-        start_desk(site.fleet, places, site.folder, pause, DESK_OPERATOR, configuration)
+        where = (site.folder, pause, DESK_OPERATOR, configuration, 1.0 / CLICKS_PER_S)
+        start_desk(site.fleet, places, *where)
         clicker.start()
         return cls(site, observer, clicker, ledger, pause)
 

@@ -22,6 +22,10 @@ from fleetpose.evaluation.system.truth import WorldTruth
 from fleetpose.protocol.errors import FleetPoseError
 
 ROUTERS = ("a", "b")
+MAX_SALIENT = 800
+"""Salient points of a view, half of what is usual: two cores then carry four robots and the world
+that they see.
+"""
 STARTED_WITHIN_S = 300.0
 """Generous: on a machine that has more to do, imports and textures take minutes."""
 RESTLESS, DESK_OPERATOR = "anna", "ben"
@@ -97,18 +101,21 @@ class SoakSite:
         set_clock(self._clock(robot), ahead_ns)
 
     def start_robot(self, robot: RobotPlan) -> None:
-        """Starts an agent as its unit would, on a machine of its own."""
+        """Starts an agent as its unit would, on a machine of its own: it shares this one's cores
+        with the server, but not as the one who waits.
+        """
         ports = {name: self.it.field.router(name).port for name in ROUTERS}
         self.relays[robot.name] = Relay(ports)
         folder = self.install(f"robot/{robot.name}")
         self.set_clock(robot.name, 0)
         settings = folder / "robot.toml"
-        told = {"name": robot.name, "camera": robot.camera, "data": robot.data}
-        lines = [f"{key} = {json.dumps(value)}" for key, value in told.items()]
-        settings.write_text("\n".join([*lines, f"rate_hz = {robot.rate_hz}", ""]))
+        told: dict[str, object] = {"name": robot.name, "camera": robot.camera, "data": robot.data}
+        told |= {"rate_hz": robot.rate_hz, "max_salient": MAX_SALIENT}
+        lines = [f"{key} = {json.dumps(value)}\n" for key, value in told.items()]
+        settings.write_text("".join(lines))
         files = ("--config", str(folder / CONFIGURATION), "--settings", str(settings))
         clock = str(self._clock(robot.name))
-        self.fleet.start(robot.name, MODULE, clock, "run", *files, nice=10)
+        self.fleet.start(robot.name, MODULE, clock, "run", *files)
 
     def close(self) -> None:
         for relay in self.relays.values():
