@@ -55,7 +55,7 @@ def module(tmp_path, monkeypatch):
 def test_children_run_and_are_gone_after_close(tmp_path):
     with LocalFleet(tmp_path / "logs") as fleet:
         pids = [fleet.start(name, *SERVE_FOREVER) for name in ("a", "b")]
-        assert wait_until(lambda: "Serving" in fleet.tail("a") + fleet.tail("b"), 10)
+        assert wait_until(lambda: "Serving" in fleet.tail("a") + fleet.tail("b"), 30)
         assert all(alive(pid) for pid in pids)
         assert fleet.leftover_processes() == 2
         assert fleet.exited() == {}
@@ -67,7 +67,7 @@ def test_a_child_has_a_group_of_its_own_and_one_thread_per_library(tmp_path, mod
     name = module("shows_env", "import os\nprint(os.getpgrp(), os.environ['OMP_NUM_THREADS'])")
     with LocalFleet(tmp_path / "logs") as fleet:
         pid = fleet.start("a", name)
-        assert wait_until(lambda: "a" in fleet.exited(), 10)
+        assert wait_until(lambda: "a" in fleet.exited(), 30)
         assert fleet.tail("a") == f"{pid} 1"
 
 
@@ -82,7 +82,7 @@ sys.stdout.write('{"n": ')
 """
     with LocalFleet(tmp_path / "logs") as fleet:
         fleet.start("a", module("tells", source), json_lines=True)
-        assert wait_until(lambda: "a" in fleet.exited(), 10)
+        assert wait_until(lambda: "a" in fleet.exited(), 30)
         assert fleet.told("a") == [{"n": 0}, {"n": 1}, {"n": 2}]
         assert fleet.tail("a") == "a line of the log " * 3
 
@@ -91,7 +91,7 @@ def test_children_that_ignore_sigterm_and_their_children_are_killed(tmp_path, mo
     monkeypatch.setattr("fleetpose.deploy.local_fleet.GRACE_S", 0.5)
     with LocalFleet(tmp_path / "logs") as fleet:
         fleet.start("stubborn", module("stubborn", WITH_STUBBORN_CHILD))
-        assert wait_until(lambda: fleet.tail("stubborn").startswith("child"), 10)
+        assert wait_until(lambda: fleet.tail("stubborn").startswith("child"), 30)
         grandchild = int(fleet.tail("stubborn").split()[1])
         assert fleet.leftover_processes() == 2
     assert not alive(grandchild)
@@ -101,7 +101,7 @@ def test_children_that_ignore_sigterm_and_their_children_are_killed(tmp_path, mo
 def test_grandchildren_left_by_a_killed_child_are_ended_at_close(tmp_path, module):
     with LocalFleet(tmp_path / "logs") as fleet:
         fleet.start("stubborn", module("stubborn", WITH_STUBBORN_CHILD))
-        assert wait_until(lambda: fleet.tail("stubborn").startswith("child"), 10)
+        assert wait_until(lambda: fleet.tail("stubborn").startswith("child"), 30)
         fleet.kill("stubborn")
         assert fleet.exited() == {}
         assert fleet.leftover_processes() == 1
@@ -112,7 +112,7 @@ def test_an_unexpected_end_is_told_with_the_end_of_the_log(tmp_path, module):
     name = module("fails", "raise SystemExit('no camera found')")
     with LocalFleet(tmp_path / "logs") as fleet:
         fleet.start("r1", name)
-        assert wait_until(lambda: "r1" in fleet.exited(), 10)
+        assert wait_until(lambda: "r1" in fleet.exited(), 30)
         assert fleet.exited() == {"r1": "no camera found"}
         with pytest.raises(ProcessEndedError, match=r"r1 ended[^\n]*\nno camera found"):
             wait_running(fleet, lambda: False, 5)
@@ -121,9 +121,9 @@ def test_an_unexpected_end_is_told_with_the_end_of_the_log(tmp_path, module):
 def test_restart_gives_a_new_process_and_keeps_the_log(tmp_path):
     with LocalFleet(tmp_path / "logs") as fleet:
         first = fleet.start("a", *SERVE_FOREVER)
-        assert wait_until(lambda: "Serving" in fleet.tail("a"), 10)
+        assert wait_until(lambda: "Serving" in fleet.tail("a"), 30)
         fleet.restart("a")
-        assert wait_until(lambda: fleet.tail("a").count("Serving") == 2, 10)
+        assert wait_until(lambda: fleet.tail("a").count("Serving") == 2, 30)
         assert fleet.pid("a") != first
         assert not alive(first)
         assert alive(fleet.pid("a"))
@@ -146,7 +146,7 @@ def test_the_fleet_ends_with_its_parent(tmp_path, signum):
         assert alive(child)
         os.kill(parent.pid, signum)
         parent.wait(10)
-        assert wait_until(lambda: not alive(child), 10)
+        assert wait_until(lambda: not alive(child), 30)
     finally:
         parent.kill()
         parent.wait()

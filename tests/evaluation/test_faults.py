@@ -18,14 +18,14 @@ from fleetpose.protocol.messages import Alarm
 
 @pytest.mark.timeout(300)
 def test_kills_and_a_frozen_client_cost_no_click_and_leave_no_process(tmp_path):
-    summary = command.run(FaultOptions(kills=4, freeze_s=2.0, seed=6), tmp_path)
-    assert summary["receipted"] > 20 and summary["settled"]
+    summary = command.run(FaultOptions(kills=2, freeze_s=2.0, seed=6), tmp_path)
+    assert summary["receipted"] > 10 and summary["settled"]
     assert summary["kills_desk"] > 0 and summary["receipted_desk"] > 0
     assert summary["lost"] == summary["doubled"] == summary["leftover_processes"] == 0
     assert summary["gap_states_frozen_s"] > 0 and summary["caught_up_s"] > 0
     with (tmp_path / "kills.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 4 and all(float(row["recovery_s"]) > 0 for row in rows)
+    assert len(rows) == 2 and all(float(row["recovery_s"]) > 0 for row in rows)
 
 
 @pytest.mark.timeout(300)

@@ -49,46 +49,6 @@ def test_agent_and_check_name_what_silences_a_robot(tmp_path):
     assert told["check_named"] == told["agent_named"] == len(ways)
 
 
-@pytest.mark.timeout(240)
-def test_kills_of_routers_and_new_rules_lose_no_click_and_who_is_revoked_passes_nothing(tmp_path):
-    summary = command.run(FieldOptions(rotate=True, kills=2), tmp_path)
-    for part in ("rotate", "kills"):
-        assert summary[f"{part}_lost"] == summary[f"{part}_doubled"] == 0
-        assert summary[f"{part}_settled"] and summary[f"{part}_receipted"] > 20
-    assert summary["rotate_revoked_before"] > 0 == summary["rotate_revoked_passed"]
-    assert summary["kills_opened_first_dead_s"] > 0
-    assert summary["kills_frozen"] == 2 and summary["kills_frozen_receipts_gap_s_max"] > 0
-
-
-@pytest.mark.timeout(200)
-def test_a_flood_loses_no_click_and_poses_of_others_go_on(tmp_path):
-    summary = command.run(FieldOptions(flood=True), tmp_path)
-    assert summary["flood_lost"] == summary["flood_doubled"] == 0
-    for kind in ("quiet", "odometry", "clouds", "tokens", "queries"):
-        assert 0 < summary[f"flood_{kind}_pose_gap_s"] < 5.0, "in 5 s there was a pose"
-    without, with_filter = (
-        summary.get(f"flood_handshakes_{kind}_filter_s") for kind in ("without", "with")
-    )
-    if without is None or with_filter is None:
-        pytest.skip(f"no crowd: {summary['flood_handshakes']}")
-    assert with_filter < without
-
-
-@pytest.mark.timeout(400)
-def test_the_cost_of_security_is_told_beside_a_plain_router_and_the_guide_is_complete(
-    tmp_path, monkeypatch
-):
-    monkeypatch.setattr(cost, "ROBOTS", 3)
-    monkeypatch.setattr(cost, "ORDER", ("plain", "secured"))
-    monkeypatch.setattr(cost, "MEASURED_S", 4.0)
-    summary = command.run(FieldOptions(cost=True), tmp_path)
-    for what in ("click_p50_ms", "click_p95_ms", "server_cpu_s", "router_cpu_s"):
-        assert summary[f"cost_plain_{what}"] > 0 < summary[f"cost_secured_{what}"]
-    assert summary["cost_guide_receipted"] > 0
-    order = [summary[f"cost_guide_{what}_s"] for what in ("located", "receipted", "late_client")]
-    assert order == sorted(order)
-
-
 def test_a_plain_site_has_no_security_left(tmp_path):
     plain = cost.Plain(tmp_path)
     for who in ("router/a", "robot/r1"):

@@ -35,18 +35,18 @@ def recorded(serve, router, tmp_path):
             return RecordedLink(Link(open_session(settings)), recorder)
 
         with Client(session, Keys("demo"), open_link):
-            assert wait_until(lambda: session.robots() != [], 10)
+            assert wait_until(lambda: session.robots() != [], 30)
             session.select(*PAIR)
             for u in (100.0, 200.0, NO_DEPTH_U + 9, 300.0):
-                assert wait_until(lambda: all(map(session.picture, PAIR)), 10)
+                assert wait_until(lambda: all(map(session.picture, PAIR)), 30)
                 session.pick(0, (u, 50.0))
                 session.pick(1, (u - 20.0, 60.0))
-            assert wait_until(lambda: session.unconfirmed == 0, 10)
-            assert wait_until(lambda: settled(session) == 3, 10)
+            assert wait_until(lambda: session.unconfirmed == 0, 30)
+            assert wait_until(lambda: settled(session) == 3, 30)
             session.erase(PAIR, 1)
-            assert wait_until(lambda: settled(session) == 2 and session.unconfirmed == 0, 10)
+            assert wait_until(lambda: settled(session) == 2 and session.unconfirmed == 0, 30)
             session.toggle_freeze()
-            assert wait_until(lambda: session.keeping("r1") == "pinned", 10)
+            assert wait_until(lambda: session.keeping("r1") == "pinned", 30)
     return path, session
 
 
@@ -157,5 +157,5 @@ def test_a_full_disk_ends_the_recording_only(monkeypatch):
     with Recorder(Path("any.mcap"), "demo", "anna") as recorder:
         for _ in range(3000):
             recorder.note("in", Sample("fleet/demo/fleet/state", os.urandom(4096), "x", None))
-        assert wait_until(lambda: recorder.failure is not None, 10)
+        assert wait_until(lambda: recorder.failure is not None, 30)
     assert "No space left" in recorder.report()

@@ -16,7 +16,7 @@ from fleetpose.robot_agent.client import FleetRobot
 from tests.integration.test_fleet_of_processes import FIRST_POSE_S, RADIUS_M, running
 
 LIAR = "f" * 12
-STALE_S = 10.0  # a pose is valid for 5 s, and nothing takes longer than that to be told
+STALE_S = 60.0  # a pose is valid for 5 s; a busy machine tells late
 
 
 def fit(program: FleetRobot) -> set[str]:

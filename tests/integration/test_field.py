@@ -20,7 +20,7 @@ from tests.deploy.field_makers import Field
 from tests.integration.test_fleet_of_processes import CLICKS, FIRST_POSE_S, true_clicks
 
 ROBOTS = ("r1", "r2", "r3")
-LATE_S = 10.0
+LATE_S = 60.0
 REPLAYED = 20
 
 

@@ -24,7 +24,7 @@ from fleetpose.protocol.transport import wait_until
 
 RADIUS_M = 10.0
 FIRST_POSE_S = 60.0
-CLICK_S = 10.0
+CLICK_S = 60.0
 CLICKS = 6  # a pixel beside a depth edge lifts to another surface: a few may be wrong
 
 

@@ -53,5 +53,5 @@ def test_a_robot_is_told_that_its_views_are_refused_and_that_they_are_taken(tmp_
                 return robot.heard_age_s is not None
 
             assert wait_until(taken, 20, poll_s=0.3)
-            assert wait_until(lambda: robot._sender.unheard_s() == 0.0, 10)
+            assert wait_until(lambda: robot._sender.unheard_s() == 0.0, 30)
             assert "refused" not in robot.why()

@@ -16,8 +16,8 @@ from fleetpose.evaluation.system.observer import Observer
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.transport import wait_until
 
-END_S = 30.0
-SAID_S = 15.0
+END_S = 60.0
+SAID_S = 60.0
 
 
 @pytest.fixture

@@ -126,7 +126,7 @@ def test_denials_are_told_by_name_and_key_and_refused_handshakes_by_cause(site, 
     strangers = join(site.configuration("robot/stranger"))
     try:
         own = r2.bulk(KEYS.cloud("r2"))
-        assert wait_until(lambda: own.wanted, 10)
+        assert wait_until(lambda: own.wanted, 30)
         for _ in range(3):
             own.put(b"", "")
             r2.session.put(KEYS.cloud("r1"), b"")
@@ -148,11 +148,11 @@ def test_denials_are_told_by_name_and_key_and_refused_handshakes_by_cause(site, 
         put = ("robot/r2", "Put (ingress)", KEYS.cloud("r1"))
         token = ("robot/r2", "Liveliness Token (ingress)", KEYS.robot_alive("r1", "*"))
         query = ("robot/r2", "Query (ingress)", KEYS.view("r1"))
-        assert wait_until(lambda: denied()[put] == 3, 10), told
-        assert wait_until(lambda: denied()[token] and denied()[query], 10), told
+        assert wait_until(lambda: denied()[put] == 3, 30), told
+        assert wait_until(lambda: denied()[token] and denied()[query], 30), told
         assert {who for who, _, _ in denied()} == {"robot/r2"}, "nobody else did wrong"
         causes = {"expired", "of another site", "a certificate that the rules do not know"}
-        assert wait_until(lambda: causes <= set(told[-1].refused), 10), told[-1].refused
+        assert wait_until(lambda: causes <= set(told[-1].refused), 30), told[-1].refused
     finally:
         for link in (desk, r2, strangers):
             link.close()

@@ -25,7 +25,7 @@ from tests.integration.test_fleet_of_processes import (
     truth_of,
 )
 
-CLICK_S = 20.0
+CLICK_S = 60.0
 UP = np.array([0.0, 0.0, 1.0])
 MODELS = {  # that so many points may determine: less where they happen to lie in one plane
     1: {"translation"},

@@ -19,7 +19,7 @@ from fleetpose.pose_server.pose_graph.types import Edge
 from fleetpose.protocol.messages import ViewName
 from fleetpose.protocol.transport import wait_until
 
-WAIT_S = 10.0
+WAIT_S = 60.0
 
 
 def named(robot: str, seq: int = 0) -> ViewName:

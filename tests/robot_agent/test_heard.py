@@ -45,11 +45,11 @@ def test_views_that_the_server_has_are_no_silence(robot, ear, caplog, monkeypatc
     monkeypatch.setattr(hearing, "UNHEARD_S", 0.2)
     caplog.set_level(logging.INFO)
     assert robot.heard_age_s is None
-    assert wait_until(lambda: robot.server_alive, 5)
+    assert wait_until(lambda: robot.server_alive, 30)
     robot.push(IMAGE, DEPTH)
-    assert wait_until(lambda: "not heard for" in caplog.text, 5)
+    assert wait_until(lambda: "not heard for" in caplog.text, 30)
     ear(heard(n=1, seq=0, epoch=robot.epoch))
-    assert wait_until(lambda: "the server hears this robot again" in caplog.text, 5)
+    assert wait_until(lambda: "the server hears this robot again" in caplog.text, 30)
     assert robot.heard_age_s < 5.0
 
 
@@ -66,16 +66,16 @@ def test_views_that_the_server_has_are_no_silence(robot, ear, caplog, monkeypatc
 )
 def test_the_cause_of_a_silence_is_told(robot, ear, caplog, monkeypatch, told, cause):
     monkeypatch.setattr(hearing, "UNHEARD_S", 0.5)
-    assert wait_until(lambda: robot.server_alive, 5)
+    assert wait_until(lambda: robot.server_alive, 30)
     if told is not None:
         own = {"epoch": robot.epoch} if told.get("epoch") == "own" else {}
         ear(heard(n=1, **{**told, **own}))
-        assert wait_until(lambda: robot._hearing.newest is not None, 5)
+        assert wait_until(lambda: robot._hearing.newest is not None, 30)
         if own:
             robot.push(IMAGE, DEPTH)
-            assert wait_until(lambda: robot._sender._on_way._newest_sent == 0, 5)
+            assert wait_until(lambda: robot._sender._on_way._newest_sent == 0, 30)
     robot.push(IMAGE, DEPTH)
-    assert wait_until(lambda: "not heard for" in caplog.text, 10)
+    assert wait_until(lambda: "not heard for" in caplog.text, 30)
     assert re.search(cause, caplog.text), caplog.text
     assert caplog.text.count("not heard for") == 1
 
@@ -90,7 +90,7 @@ def test_another_cause_of_the_same_silence_is_told_at_once(caplog, monkeypatch):
 
     watch = hearing.SilenceWatch(lambda: 9.0, lambda: True, cause, lambda _: "")
     watch.start()
-    assert wait_until(lambda: "expired" in caplog.text, 10)
+    assert wait_until(lambda: "expired" in caplog.text, 30)
     watch.close()
     assert [one.message.rpartition(": ")[2] for one in caplog.records] == [
         *("nothing listens", "view 1 is refused", "expired")
@@ -102,31 +102,31 @@ def test_a_router_that_is_lost_is_told_before_any_view_is_missed(own_router, cap
     caplog.set_level(logging.INFO)
     with FleetRobot("r1", settings_for(own_router.endpoint), camera=MODEL):
         own_router.close()
-        assert wait_until(lambda: "no router is reached" in caplog.text, 10), caplog.text
+        assert wait_until(lambda: "no router is reached" in caplog.text, 30), caplog.text
         own_router.start()
         assert wait_until(lambda: "hears this robot again" in caplog.text, 20), caplog.text
 
 
 def test_what_another_says_is_heard_is_refused(robot, ear, link):
     ear(heard(n=1, seq=0, epoch=robot.epoch, server_epoch=OTHER))
-    assert wait_until(lambda: robot.drops.total() == 1, 5)
+    assert wait_until(lambda: robot.drops.total() == 1, 30)
     assert robot.heard_age_s is None
     false = link.latched(KEYS.heard("r1"))
     false.put(pack(heard(n=2, robot="r2")), encoding_of(Heard))
-    assert wait_until(lambda: robot.drops.total() == 2, 5)
+    assert wait_until(lambda: robot.drops.total() == 2, 30)
 
 
 def test_one_view_at_a_time_is_on_its_way_where_the_server_confirms(robot, ear, link):
     clouds = link.on_bulk(KEYS.cloud("r1"))
     ear(heard(n=1))
-    assert wait_until(lambda: robot._hearing.newest is not None, 5)
+    assert wait_until(lambda: robot._hearing.newest is not None, 30)
     robot.push(IMAGE, DEPTH)
-    assert clouds.take(5) is not None
+    assert clouds.take(30) is not None
     for _ in range(3):
         robot.push(IMAGE, DEPTH)
     assert clouds.take(1.0) is None, "the first is not confirmed yet"
     ear(heard(n=2, seq=0, epoch=robot.epoch))
-    sample = clouds.take(2.0)
+    sample = clouds.take(30)
     assert sample is not None
     assert unpack(View, sample.payload, sample.encoding).name.seq == 3, "the newest goes next"
     assert unpack(View, sample.payload, sample.encoding).on_way_s > 0.9
@@ -233,7 +233,7 @@ def test_over_a_slow_link_views_shrink_until_each_takes_less_than_a_second(route
         SlowLink(router, bytes_s=70e3) as slow,
         FleetRobot("r1", settings_for(slow.endpoint), camera=model) as robot,
     ):
-        assert wait_until(lambda: robot._hearing.newest is not None, 5)
+        assert wait_until(lambda: robot._hearing.newest is not None, 30)
 
         def passes():
             robot.push(image, points)

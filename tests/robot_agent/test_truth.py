@@ -55,25 +55,25 @@ def test_a_pose_of_another_epoch_than_the_live_servers_is_refused_counted_and_na
     robot, link, elsewhere, caplog
 ):
     server = pose_publisher(link)
-    assert wait_until(lambda: robot.server_alive, 5)
+    assert wait_until(lambda: robot.server_alive, 30)
     publish(server, pose_message(n=1, x_m=1.0))
-    assert wait_until(lambda: robot.pose() is not None, 5)
+    assert wait_until(lambda: robot.pose() is not None, 30)
     liar = elsewhere.latched(KEYS.pose("r1"))
     forged = pose_message(n=9, server_epoch=OTHER, x_m=100.0, valid_for_s=3600.0)
     with caplog.at_level(logging.WARNING):
         publish(liar, forged)
-        assert wait_until(lambda: robot.drops.total() == 1, 5)
+        assert wait_until(lambda: robot.drops.total() == 1, 30)
     assert robot.drops == {"a pose of server _ that is not alive": 1}
     assert f"a pose of server {OTHER} that is not alive: alive is {LIVE}" in caplog.text
     assert robot.pose().T_fleet_robot[0, 3] == 1.0 and not robot.is_stale(robot.pose())
     assert robot.is_stale(forged)
     publish(server, pose_message(n=2, x_m=2.0))
-    assert wait_until(lambda: robot.pose().n == 2, 5)
+    assert wait_until(lambda: robot.pose().n == 2, 30)
 
 
 def test_without_a_server_nobodys_pose_is_taken(robot, elsewhere):
     publish(elsewhere.latched(KEYS.pose("r1")), pose_message(server_epoch=OTHER))
-    assert wait_until(lambda: robot.drops.total() == 1, 5)
+    assert wait_until(lambda: robot.drops.total() == 1, 30)
     assert robot.pose() is None and not robot.server_alive
 
 
@@ -81,23 +81,23 @@ def test_poses_that_were_there_before_the_robot_are_taken(router, link):
     server = pose_publisher(link)
     publish(server, pose_message(n=3))
     with FleetRobot("r1", settings_for(router)) as late:
-        assert wait_until(lambda: late.pose() is not None, 5)
+        assert wait_until(lambda: late.pose() is not None, 30)
         assert late.server_alive and late.drops == {}
 
 
 def test_poses_of_a_server_that_was_replaced_are_stale_at_once(robot, link, elsewhere):
     server = pose_publisher(link)
-    assert wait_until(lambda: robot.server_alive, 5)
+    assert wait_until(lambda: robot.server_alive, 30)
     publish(server, pose_message())
-    assert wait_until(lambda: robot.pose() is not None, 5)
+    assert wait_until(lambda: robot.pose() is not None, 30)
     pose = robot.pose()
     link.close()
-    assert wait_until(lambda: not robot.server_alive, 5)
+    assert wait_until(lambda: not robot.server_alive, 30)
     assert not robot.is_stale(pose)  # nobody says otherwise: it is as good as it was
     elsewhere.token(KEYS.server_alive(OTHER))
-    assert wait_until(lambda: robot.is_stale(pose) and robot.server_alive, 5)
+    assert wait_until(lambda: robot.is_stale(pose) and robot.server_alive, 30)
     publish(elsewhere.latched(KEYS.pose("r1")), pose_message(server_epoch=OTHER, n=0))
-    assert wait_until(lambda: not robot.is_stale(robot.pose()), 5)
+    assert wait_until(lambda: not robot.is_stale(robot.pose()), 30)
 
 
 # ---- for how long --------------------------------------------------------------------------------
@@ -196,15 +196,15 @@ def test_a_program_reads_why_its_robot_is_not_located(robot, link):
 
     link.queryable(KEYS.why, answer)
     link.token(KEYS.server_alive(LIVE))
-    assert wait_until(lambda: robot.server_alive, 5)
-    assert wait_until(lambda: robot.why(1.0) == "; ".join(words), 5)
+    assert wait_until(lambda: robot.server_alive, 30)
+    assert wait_until(lambda: robot.why(1.0) == "; ".join(words), 30)
 
 
 def test_a_server_that_does_not_know_the_robot_says_so(robot, link):
     link.queryable(KEYS.why, lambda _: Answer(error="no robot 'r1' is known; known are: r2"))
     link.token(KEYS.server_alive(LIVE))
-    assert wait_until(lambda: robot.server_alive, 5)
-    assert wait_until(lambda: "no robot 'r1' is known" in robot.why(1.0), 5)
+    assert wait_until(lambda: robot.server_alive, 30)
+    assert wait_until(lambda: "no robot 'r1' is known" in robot.why(1.0), 30)
 
 
 def test_a_mistyped_site_is_told_and_the_right_one_named(router, link, caplog, monkeypatch):
@@ -221,7 +221,7 @@ def test_a_mistyped_site_is_told_and_the_right_one_named(router, link, caplog, m
             lost.push(IMAGE, DEPTH)
             return caplog.text.count("no server at site 'dmeo'")
 
-        assert wait_until(lambda: logged() == 1, 5)
+        assert wait_until(lambda: logged() == 1, 30)
         assert "There is one at demo." in caplog.text
         assert [logged() for _ in range(5)] == [1] * 5  # once a minute
         with pytest.raises(client_module.UnreachableError, match="is the site name right"):
@@ -232,9 +232,9 @@ def test_a_lost_router_is_told_from_a_site_without_a_server(own_router):
     with FleetRobot("r1", settings_for(own_router.endpoint)) as robot:
         assert "no server at site" in robot.why()
         own_router.close()
-        assert wait_until(lambda: "no router is reached" in robot.why(), 5)
+        assert wait_until(lambda: "no router is reached" in robot.why(), 30)
         own_router.start()
-        assert wait_until(lambda: "no server at site" in robot.why(), 10)
+        assert wait_until(lambda: "no server at site" in robot.why(), 30)
 
 
 def test_a_relative_pose_carries_whether_it_may_be_acted_on(robot, link):
@@ -259,6 +259,6 @@ def test_a_relative_pose_carries_whether_it_may_be_acted_on(robot, link):
         except client_module.UnreachableError:
             return None
 
-    assert wait_until(lambda: asked() is not None, 5)
+    assert wait_until(lambda: asked() is not None, 30)
     pose = asked()
     assert (pose.located, pose.why_not, pose.p_grave) == (False, "r2: its token is gone", 0.1)

@@ -82,7 +82,7 @@ def test_a_video_can_be_given_another_pace(opened, film):
     source = opened(open_pairs(film, "once", VideoSettings(fps=200.0)))
     began_s = time.monotonic()
     assert number_of(list(source.pairs())[-1].left) > 30
-    assert time.monotonic() - began_s < 1.5
+    assert time.monotonic() - began_s < 40 / FPS, "its own pace takes longer"
 
 
 def test_two_videos_give_the_images_that_belong_together(opened, tmp_path):
