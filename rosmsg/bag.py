@@ -197,10 +197,10 @@ class RosbagPart:
             raise DataFolderError(f"{path} cannot be opened ({why})") from error
         coding = "ros1" if path.suffix == ".bag" else "cdr"
         self.topics: dict[str, Kind] = {}
-        self.counts: Counter[str] = Counter()
+        self.counts: dict[str, int] = {}
         for one in self._reader.connections:
             self.topics[one.topic] = Kind(one.msgtype, one.msgdef, coding)
-            self.counts[one.topic] += one.msgcount
+            self.counts[one.topic] = self.counts.get(one.topic, 0) + one.msgcount
         self.span_ns: tuple[int, int] | None = None
         if self._reader.message_count:
             self.span_ns = self._reader.start_time, self._reader.end_time - 1

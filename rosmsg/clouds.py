@@ -1,6 +1,6 @@
 """`sensor_msgs/PointCloud2` as arrays."""
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ def xyz_of(message: Any) -> npt.NDArray[np.float64]:
     fields = {field.name: field for field in message.fields}
     if any(name not in fields for name in "xyz"):
         raise CodecError(f"a cloud without x, y and z: it has {', '.join(fields) or 'nothing'}")
-    order = ">" if message.is_bigendian else "<"
+    order: Literal["<", ">"] = ">" if message.is_bigendian else "<"
     kinds = [_kind(fields[name], order) for name in "xyz"]
     offsets = [int(fields[name].offset) for name in "xyz"]
     ends = [offset + kind.itemsize for offset, kind in zip(offsets, kinds, strict=True)]
@@ -37,7 +37,7 @@ def xyz_of(message: Any) -> npt.NDArray[np.float64]:
     return np.stack([points[name].astype(np.float64) for name in "xyz"], axis=-1)
 
 
-def _kind(field: Any, order: str) -> "np.dtype[Any]":
+def _kind(field: Any, order: Literal["<", ">"]) -> "np.dtype[Any]":
     if int(field.datatype) not in _KINDS:
         raise CodecError(f"a cloud whose {field.name} is of the unknown type {field.datatype}")
     return np.dtype(_KINDS[int(field.datatype)]).newbyteorder(order)

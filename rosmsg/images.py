@@ -76,7 +76,7 @@ def bgr(message: Any) -> Image:
         return _decompressed(message)
     if message.encoding == "32FC1":
         raise CodecError("an image of encoding '32FC1' is one of depths, not of colours")
-    return _as_bgr(raw_image(message), _NAMES.get(message.encoding, message.encoding))
+    return _as_bgr(raw_image(message), str(_NAMES.get(message.encoding, message.encoding)))
 
 
 def grey_or_bgr(message: Any) -> Image:

@@ -129,6 +129,10 @@ def eye_of(topic: str) -> tuple[str, str] | None:
     return None
 
 
+def _is_eye(topic: str) -> bool:
+    return any(re.search(rf"(^|[/_]){eye}([/_\d]|$)", topic) for eyes in _EYES for eye in eyes)
+
+
 class _Topics:
     """Topics below a namespace, by what they can be."""
 
@@ -217,14 +221,8 @@ def _rgbd(found: _Topics, wanted: Wanted) -> Roles:
         apart = _frames_differ(found, colour, depth)
         registered = any(word in depth for word in ("aligned", "registered"))
         elsewhere = _top(colour) != _top(depth)  # of another robot, where names say so
-        return (
-            elsewhere,
-            apart,
-            not registered,
-            eye_of(colour) is not None,
-            _rank(depth),
-            _rank(colour),
-        )
+        an_eye = _is_eye(colour)
+        return elsewhere, apart, not registered, an_eye, _rank(depth), _rank(colour)
 
     pairs = [(colour, depth) for colour in colours for depth in depths if colour != depth]
     if not pairs:

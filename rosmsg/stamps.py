@@ -92,11 +92,12 @@ class Pairing(Generic[T]):
         first, *others = self._waiting
         stamp_ns, item = first.popleft()
         nearest = [_nearest(other, stamp_ns) for other in others]
-        skew_ns = max((_apart(other, k, stamp_ns) for other, k in zip(others, nearest)), default=0)
+        found = list(zip(others, nearest, strict=True))
+        skew_ns = max((_apart(other, k, stamp_ns) for other, k in found), default=0)
         if skew_ns > self.at_most_ns:
             self.dropped += 1
             return
-        partners = [_taken(other, k) for other, k in zip(others, nearest)]
+        partners = [_taken(other, k) for other, k in found]
         self.skews_ns.append(skew_ns)
         yield Moment(stamp_ns, (item, *partners), skew_ns)
 

@@ -2,6 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -80,7 +81,7 @@ class Tf:
         common = next((frame for frame in down if frame in up), None)
         if common is None:
             return None
-        return up[: up.index(common)] + [common] + down[: down.index(common)][::-1]
+        return [*up[: up.index(common)], common, *down[: down.index(common)][::-1]]
 
     def lookup(self, target: str, source: str, at_ns: int | None = None) -> Floats | None:
         """T_target_source (4, 4), None where nothing joins them.
@@ -92,7 +93,7 @@ class Tf:
         if frames is None:
             return None
         T = np.eye(4)
-        for a, b in zip(frames, frames[1:], strict=False):
+        for a, b in pairwise(frames):
             if self.parents.get(b) == a:
                 T = T @ self._edge(b, at_ns)
             else:
@@ -102,7 +103,7 @@ class Tf:
     def moves(self, target: str, source: str) -> bool:
         """Whether a joint between the two is not known to stand still."""
         frames = self.chain(target, source) or []
-        joints = [b if self.parents.get(b) == a else a for a, b in zip(frames, frames[1:])]
+        joints = [b if self.parents.get(b) == a else a for a, b in pairwise(frames)]
         return any(joint not in self._static for joint in joints)
 
     def find(self, name: str, near: str = "") -> str | None:
