@@ -212,7 +212,10 @@ class RobotPose(Message, frozen=True, schema="fleet.pose.v2", before="fleet.pose
         description="moved by more than its own motion and sigma since the last one"
     )
     age_s: NonNegative = Field(description="of the view, by the server's clock, when sent")
-    valid_until_ns: Moment = Field(description="robot's clock; afterwards the pose is stale")
+    valid_until_ns: Moment = Field(
+        description="by the clock of its stamp; afterwards the pose is stale. A receiver counts "
+        "what is left (`valid_for_s`) from its arrival: so it is right for recordings as well"
+    )
     errors: Many[PairError] = ()
     server_epoch: Epoch
     n: Count = Field(description="counts up per robot and server epoch")

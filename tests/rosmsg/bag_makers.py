@@ -43,7 +43,8 @@ def source(frames=5, seed=0):
         noise = rng.integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8)
         made.colours.append(cv2.GaussianBlur(noise, (0, 0), 1.0))
         depth = np.full((HEIGHT, WIDTH), 1500 + 10 * k, np.uint16)
-        depth[:, 40 + k :] = rng.integers(1800, 4000, (HEIGHT, WIDTH - 40 - k), np.uint16)
+        step = 40 + k % 20
+        depth[:, step:] = rng.integers(1800, 4000, (HEIGHT, WIDTH - step), np.uint16)
         depth[:5], depth[-1] = 0, 65535
         made.depths.append(depth)
     return made

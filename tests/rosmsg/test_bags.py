@@ -20,6 +20,7 @@ from fleetpose.robot_agent.cameras.stereo.rectify import Rectifier
 from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
 from fleetpose.rosmsg.bag import Bag
 from fleetpose.rosmsg.camera_infos import camera_info
+from tests.data import shared_data
 from tests.rosmsg import bag_makers as makers
 
 SQLITE = {"plugin": StoragePlugin.SQLITE3}
@@ -298,3 +299,14 @@ def test_a_bag_of_ros_1_that_was_cut_off_says_what_mends_it(tmp_path):
     path.write_bytes(path.read_bytes()[:13] + b"\0" * 50)
     with pytest.raises(DataFolderError, match=r"cut\.bag cannot be opened"):
         Bag(str(path))
+
+
+def test_given_bags_are_understood_and_none_ends_the_command():
+    folder = shared_data("bags")
+    for bag in (*folder.iterdir(), *(folder / "real_ros2_written").iterdir()):
+        if bag.suffix == ".txt":
+            continue
+        code, said = command("topics", bag)
+        assert code == 0, said
+        if bag.name.startswith("robot_"):
+            assert "aligned_depth_to_color/image_raw" in said and "of 2 pairs; 0 without" in said
