@@ -20,6 +20,7 @@ from fleetpose.protocol.messages.camera import ROBOT_FROM_CAMERA as ROBOT_FROM_C
 from fleetpose.protocol.messages.camera import Camera
 from fleetpose.protocol.messages.camera import NoiseModel as NoiseModel
 from fleetpose.protocol.messages.fields import (
+    Clock,
     Count,
     Epoch,
     Many,
@@ -46,10 +47,10 @@ from fleetpose.protocol.messages.view_name import ViewName as ViewName
 class CameraAnnouncement(
     Message,
     frozen=True,
-    schema="fleet.camera_announcement.v2",
-    before="fleet.camera_announcement.v1",
+    schema="fleet.camera_announcement.v3",
+    before="fleet.camera_announcement.v2",
 ):
-    """What is latched under `robot/<id>/camera`. v2 says which version the robot runs."""
+    """What is latched under `robot/<id>/camera`. v3 says whose time its stamps are of."""
 
     robot: Name
     epoch: Epoch
@@ -57,6 +58,11 @@ class CameraAnnouncement(
     rate_hz: Positive
     capabilities: Many[Name] = ()
     version: Text = Field(default="", description="of the robot's software")
+    clock: Clock = Field(
+        default="live",
+        description="whose time stamps are of: the robot's clock now (live), or that of a "
+        "recording (recorded), whose views come long after they were taken",
+    )
 
 
 class DepthCloud(Message, frozen=True, schema="fleet.depth_cloud.v1", at_most=MAX_MESSAGE_BYTES):
@@ -206,7 +212,10 @@ class RobotPose(Message, frozen=True, schema="fleet.pose.v2", before="fleet.pose
         description="moved by more than its own motion and sigma since the last one"
     )
     age_s: NonNegative = Field(description="of the view, by the server's clock, when sent")
-    valid_until_ns: Moment = Field(description="robot's clock; afterwards the pose is stale")
+    valid_until_ns: Moment = Field(
+        description="by the clock of its stamp; afterwards the pose is stale. A receiver counts "
+        "what is left (`valid_for_s`) from its arrival: so it is right for recordings as well"
+    )
     errors: Many[PairError] = ()
     server_epoch: Epoch
     n: Count = Field(description="counts up per robot and server epoch")

@@ -2,4 +2,11 @@
 
 from typing import Literal
 
-CameraKind = Literal["rgbd", "views", "reconstruction", "bundler", "cloud", "stereo", "synthetic"]
+CameraKind = Literal[
+    "rgbd", "views", "reconstruction", "bundler", "cloud", "stereo", "bag", "synthetic"
+]
+
+
+def clock_of(kind: CameraKind) -> Literal["live", "recorded"]:
+    """Whose time a kind's stamps are of; recordings of images alone are stamped when shown."""
+    return "recorded" if kind == "bag" else "live"

@@ -36,8 +36,14 @@ SAID = {  # what each process says and hears when all goes well
             *(K.pose("r1"), K.state, K.status, K.receipts("anna"), K.heard("r1")),
             *(K.alignment("r1", "r2"), K.correspondences("r1", "r2")),
         ],
-        "subscribe": [K.cloud("*"), K.odometry("*"), K.updates("*"), K.selection("*")],
-        "hear": [K.cloud("r1"), K.odometry("r1"), K.updates("anna"), K.selection("anna")],
+        "subscribe": [
+            *(K.camera("*"), K.cloud("*"), K.odometry("*")),
+            *(K.updates("*"), K.selection("*")),
+        ],
+        "hear": [
+            *(K.camera("r1"), K.cloud("r1"), K.odometry("r1")),
+            *(K.updates("anna"), K.selection("anna")),
+        ],
         "ask": [K.view("r1")],
         "answer": [K.relative, K.why, K.server_view],
         "show": [K.server_alive(E)],

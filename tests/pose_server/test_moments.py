@@ -120,6 +120,18 @@ def test_right_clocks_and_late_views_are_no_alarm():
     assert told(arrivals(0.0, late_s=3.0, later_s=5.0)) == {}  # by another time each: a busy robot
 
 
+def test_a_robot_that_plays_a_recording_has_no_wrong_clock_and_another_life_of_it_may():
+    clocks = arrivals(-1e8)
+    clocks.note_recorded("r2", "0" * 12, recorded=True)
+    assert told(arrivals(-1e8, clocks=clocks)) == {}
+    for _ in range(KEPT_VIEWS):
+        clocks.note("r2", "1" * 12, 3.0)
+    assert told(clocks) == {"r2": pytest.approx(3.0)}
+    clocks.note_recorded("r2", "0" * 12, recorded=False)
+    clocks.forget("r2")
+    assert told(arrivals(3.0, clocks=clocks)) == {"r2": pytest.approx(2.6)}
+
+
 def test_where_all_views_are_late_the_machine_is_slow():
     clocks = Clocks()
     for robot in ("r1", "r2", "r3"):
