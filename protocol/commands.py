@@ -20,6 +20,7 @@ MODULES = {  # that an extra brings, as they are imported; Open3D is done withou
         *("threadpoolctl", "numba", "matplotlib"),
     ),
     "cluster": ("distributed",),
+    "ros": ("rosbags", "mcap"),
     "metrics": ("prometheus_client",),
     "hmi": ("cv2", "textual", "rich", "mcap"),
     "deploy": ("cryptography",),

@@ -133,6 +133,28 @@ def inspect(
     _leave()
 
 
+@app.command()
+def topics(
+    source: Annotated[str, typer.Argument(help="A bag: .mcap, .db3, .bag, folder; or a,b.")],
+    namespace: Annotated[str, typer.Option(help="Of the robot's topics, e.g. /r1.")] = "",
+    image: Annotated[str, typer.Option(help="The topic of colours.")] = "",
+    depth: Annotated[str, typer.Option(help="The topic of depths.")] = "",
+    left: Annotated[str, typer.Option(help="The topic of the left eye.")] = "",
+    right: Annotated[str, typer.Option(help="The topic of the right eye.")] = "",
+    cloud: Annotated[str, typer.Option(help="The topic of a cloud.")] = "",
+    base: Annotated[str, typer.Option(help="The frame of the robot's body.")] = "base_link",
+    calibration: Calibration = None,
+) -> None:
+    """Says what a bag has: topics, rates, which make a camera and why, and what is missing."""
+    from fleetpose.robot_agent.cameras.bag.options import BagOptions
+    from fleetpose.robot_agent.checking.topics import report
+
+    logging.getLogger("fleetpose").propagate = False  # what readers warn of is printed as notes
+    options = BagOptions(namespace, image, depth, left, right, cloud, base)
+    for line in report(source, options, calibration):
+        typer.echo(line)
+
+
 def _leave() -> None:
     """Ends at once where a view is still being worked on or waited for, or the network is asked:
     the interpreter must not pull the rug from under OpenCV or zenoh, and nobody waits for it.

@@ -5,6 +5,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import fields
 from typing import TypeVar
 
 import cv2
@@ -12,8 +13,11 @@ import cv2
 from fleetpose.protocol.errors import EndedError
 from fleetpose.protocol.session.supervisor import Supervisor
 from fleetpose.protocol.transport import SessionSettings
+from fleetpose.robot_agent.cameras.bag.options import BagOptions
 from fleetpose.robot_agent.cameras.base import Frame
 from fleetpose.robot_agent.cameras.factory import open_camera
+from fleetpose.robot_agent.cameras.folders.pairing import MAX_SKEW_MS
+from fleetpose.robot_agent.cameras.kinds import clock_of
 from fleetpose.robot_agent.cameras.stereo.video import video_settings
 from fleetpose.robot_agent.cameras.understood import understood_of
 from fleetpose.robot_agent.client import FleetRobot
@@ -46,10 +50,14 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
         metres_per_unit=settings.metres_per_unit,
         axes=settings.axes,
         calibration=settings.calibration,
-        video=video_settings(settings.size, settings.fps, settings.fourcc, settings.max_skew_ms),
+        video=video_settings(
+            *(settings.size, settings.fps, settings.fourcc),
+            settings.max_skew_ms or MAX_SKEW_MS,
+        ),
         stop=stop,
         translation_unit=settings.translation_unit,
         depth_scale=settings.depth_scale,
+        bag=_bag_options(settings),
     )
     try:
         systemd.ready()
@@ -68,6 +76,7 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
                 max_salient=settings.max_salient,
                 jpeg_quality=settings.jpeg_quality,
                 keep_views=settings.keep_views,
+                clock=clock_of(settings.camera),
             ),
             takeover=settings.takeover,
         ) as robot:
@@ -95,6 +104,10 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
     finally:
         systemd.stopping()
         camera.close()
+
+
+def _bag_options(settings: RobotSettings) -> BagOptions:
+    return BagOptions(**{field.name: getattr(settings, field.name) for field in fields(BagOptions)})
 
 
 def _status(robot: FleetRobot) -> str:

@@ -176,7 +176,8 @@ class FleetRobot:
         return self.push_frame(frame)
 
     def push_frame(self, frame: Frame) -> ViewName:
-        """Sends a frame with a camera model of its own; returns at once.
+        """Sends a frame with a camera model of its own, and its odometry if it has some; returns at
+        once.
 
         The frame must not be changed afterwards.
 
@@ -190,6 +191,8 @@ class FleetRobot:
         if frame.raw:
             frozen_s = self._repeats.frozen_s(frame.raw, time.monotonic())
             frame = replace(frame, frozen_s=frozen_s)
+        if (odometry := frame.odometry) is not None:
+            self.push_odometry(odometry.T_odom_robot, frame.stamp_ns, odometry.covariance)
         name = ViewName(robot=self.name, epoch=self.epoch, seq=self._seq)
         self._seq += 1
         self._sender.send(name, frame)

@@ -23,6 +23,7 @@ from fleetpose.protocol.messages import (
     View,
     ViewName,
 )
+from fleetpose.protocol.messages.fields import Clock
 from fleetpose.protocol.text import release
 from fleetpose.protocol.transport import ENCODING_JPEG, Answer, Link
 from fleetpose.robot_agent.cameras.base import Frame
@@ -46,12 +47,14 @@ class SenderSettings:
         max_salient: salient points per view, at most.
         jpeg_quality: 1 to 100.
         keep_views: so many of the last views can be asked for.
+        clock: whose time the stamps of frames are of; announced with the camera.
     """
 
     rate_hz: float = 1.0
     max_salient: int = 1600
     jpeg_quality: int = JPEG_QUALITY
     keep_views: int = 30
+    clock: Clock = "live"
 
 
 class Sender:
@@ -107,6 +110,7 @@ class Sender:
             rate_hz=self._settings.rate_hz,
             capabilities=CAPABILITIES,
             version=release(),
+            clock=self._settings.clock,
         )
         self._announcement.put(pack(announcement), encoding_of(CameraAnnouncement))
 

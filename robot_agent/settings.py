@@ -8,6 +8,7 @@ from pydantic import Field
 from pydantic_settings import SettingsConfigDict
 
 from fleetpose.protocol.settings import Endpoints, Name, ProcessSettings
+from fleetpose.robot_agent.cameras.bag.options import StampSource
 from fleetpose.robot_agent.cameras.kinds import CameraKind
 from fleetpose.robot_agent.cameras.replay import ReplayMode
 
@@ -34,9 +35,9 @@ class RobotSettings(ProcessSettings):
         -1.0, description="wait so long for a router at the start; negative: for ever"
     )
     camera: CameraKind = Field(
-        description="rgbd, views, reconstruction, cloud, stereo or synthetic"
+        description="rgbd, views, reconstruction, cloud, stereo, bag or synthetic"
     )
-    data: str = Field("", description="folder, video, device (or left,right), or endpoint")
+    data: str = Field("", description="folder, bag, video, device (or left,right), or endpoint")
     calibration: Path | None = Field(None, description="stereo, rgbd: file; else beside the images")
     translation_unit: float | None = Field(
         None,
@@ -57,9 +58,25 @@ class RobotSettings(ProcessSettings):
     fourcc: Annotated[str, Field(pattern=r"^[!-~]{4}$")] | None = Field(
         None, description="devices: coding of the images, e.g. MJPG"
     )
-    max_skew_ms: float = Field(
-        10.0, gt=0, le=1000, description="two devices: images taken further apart are dropped"
+    max_skew_ms: float | None = Field(
+        None,
+        gt=0,
+        le=1000,
+        description="two devices, bags: what is taken further apart is dropped; else 10 of two "
+        "eyes, 20 of colour and depth in a bag",
     )
+    namespace: str = Field("", description="bags: of the robot's topics, e.g. /r1; else all")
+    image: str = Field("", description="bags: the topic of colours; else by type and name")
+    depth: str = Field("", description="bags: the topic of depths; else by type and name")
+    left: str = Field("", description="bags: the topic of the left eye; else by type and name")
+    right: str = Field("", description="bags: the topic of the right eye; else by type and name")
+    cloud: str = Field("", description="bags: the topic of a cloud, in place of depths")
+    base: str = Field("base_link", description="bags: the frame of the robot's body in tf")
+    stamps: StampSource = Field(
+        "header",
+        description="bags: whose time counts, of the drivers (header) or the recorder (receive)",
+    )
+    speed: float = Field(1.0, gt=0, le=1000, description="bags: how fast they are played")
     clouds: str | None = Field(None, description="kind of clouds; for posed views")
     view: str | None = Field(
         None, description="the one view to show; for posed views and reconstructions"

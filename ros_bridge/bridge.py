@@ -16,11 +16,11 @@ from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import RobotPose
 from fleetpose.protocol.transport import Link, Sample
 from fleetpose.ros_bridge.fleet_tree import FLEET, MAP, Hung, RobotTree
+from fleetpose.ros_bridge.outgoing import Outgoing
 from fleetpose.ros_bridge.settings import BridgeSettings
 from fleetpose.ros_bridge.topics import Message, Reader, Writer
-from fleetpose.rosmsg import rmw_zenoh
-from fleetpose.rosmsg.outgoing import Outgoing
-from fleetpose.rosmsg.rmw_zenoh import Endpoint
+from fleetpose.rosmsg.dialects import rmw_zenoh
+from fleetpose.rosmsg.dialects.rmw_zenoh import Endpoint
 
 log = logging.getLogger("pose-ros")
 

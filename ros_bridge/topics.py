@@ -11,8 +11,8 @@ from typing import Any
 from fleetpose.protocol.drops import Drops
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.transport import Link, Publisher, Sample
-from fleetpose.rosmsg import rmw_zenoh
-from fleetpose.rosmsg.rmw_zenoh import NO_HASH, Endpoint
+from fleetpose.rosmsg.dialects import rmw_zenoh
+from fleetpose.rosmsg.dialects.rmw_zenoh import NO_HASH, Endpoint
 
 log = logging.getLogger("pose-ros")
 

@@ -61,7 +61,7 @@ def _server(keys: Keys) -> Permissions:
         shows=(keys.server_alive("*"),),
         follows=(
             *(keys.updates("*"), keys.selection("*"), keys.odometry("*")),
-            keys.denials("*"),
+            *(keys.camera("*"), keys.denials("*")),
         ),
         hears=(keys.cloud("*"),),
         asks=(keys.view("*"),),

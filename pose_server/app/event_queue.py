@@ -14,7 +14,13 @@ from fleetpose.protocol.codec import unpack
 from fleetpose.protocol.drops import Drops
 from fleetpose.protocol.errors import CodecError, FleetPoseError
 from fleetpose.protocol.keys import Keys
-from fleetpose.protocol.messages import Denials, Odometry, OperatorUpdate, Selection
+from fleetpose.protocol.messages import (
+    CameraAnnouncement,
+    Denials,
+    Odometry,
+    OperatorUpdate,
+    Selection,
+)
 from fleetpose.protocol.messages.base import Message
 from fleetpose.protocol.messages.fields import EPOCH_PATTERN
 from fleetpose.protocol.transport import Answer, Link, Sample
@@ -50,6 +56,13 @@ class Moved:
     """A robot said where it is in its own odometry frame."""
 
     odometry: Odometry
+
+
+@dataclass(frozen=True)
+class Announced:
+    """A robot said what its camera is."""
+
+    announcement: CameraAnnouncement
 
 
 @dataclass(frozen=True)
@@ -101,6 +114,7 @@ class EventQueue:
         link.on_latched(self._keys.updates("*"), self._update)
         link.on_latched(self._keys.selection("*"), self._selection)
         link.on_latched(self._keys.odometry("*"), self._odometry)
+        link.on_latched(self._keys.camera("*"), self._camera)
         link.on_latched(self._keys.denials("*"), self._denials)
         link.on_alive(self._keys.robot_alive("*", "*"), self._token)
 
@@ -117,6 +131,9 @@ class EventQueue:
 
     def _odometry(self, sample: Sample) -> None:
         self._read(sample, Odometry, Moved, owner="robot")
+
+    def _camera(self, sample: Sample) -> None:
+        self._read(sample, CameraAnnouncement, Announced, owner="robot")
 
     def _denials(self, sample: Sample) -> None:
         self._read(sample, Denials, Denied, owner="router")

@@ -16,6 +16,7 @@ from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.app import queries
 from fleetpose.pose_server.app.acknowledgements import Acknowledgements
 from fleetpose.pose_server.app.event_queue import (
+    Announced,
     Asked,
     Denied,
     EventQueue,
@@ -201,6 +202,8 @@ class Service:
                 self._token(event)
             case Moved():
                 self.site.odometers.note(event.odometry)
+            case Announced():
+                monitor.note_announcement(self.site, event.announcement)
             case Denied():
                 pipeline.receive_denials(self.site, event.denials)
             case ServerEvent():

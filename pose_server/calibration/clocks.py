@@ -3,6 +3,7 @@
 A view arrives after it was taken, by milliseconds or, on a busy machine, by seconds. Of several
 views the quickest says how far the robot's clock is ahead of the server's, or nearly so: no view
 comes before it was taken. Stamps of two robots are never compared.
+A robot that plays a recording says so: its stamps are of another time, and tell nothing.
 """
 
 import statistics
@@ -12,6 +13,7 @@ from dataclasses import dataclass, field
 
 KEPT_VIEWS = 10
 LEAST_KEPT = 4
+MOST_RECORDED = 1000  # robots that are known to play recordings
 LEAST_AHEAD_S = 0.5
 LEAST_BEHIND_S = 2.5  # a clock that is behind looks like a robot whose views are late,
 STEADY_SHARE = 0.3  # but by much the same every time
@@ -24,9 +26,23 @@ class Clocks:
     """
 
     _early_s: dict[str, tuple[str, deque[float]]] = field(default_factory=dict)
+    _recorded: dict[str, str] = field(default_factory=dict)  # lives of robots that play recordings
+
+    def note_recorded(self, robot: str, epoch: str, recorded: bool) -> None:
+        """A robot has said whether its stamps are those of a recording. It may say so before it is
+        known to be there.
+        """
+        self._recorded.pop(robot, None)
+        if recorded:
+            self._recorded[robot] = epoch
+            self.forget(robot)
+        while len(self._recorded) > MOST_RECORDED:
+            self._recorded.pop(next(iter(self._recorded)))
 
     def note(self, robot: str, epoch: str, early_s: float) -> None:
         """A view has arrived; early_s is its stamp minus the server's clock."""
+        if self._recorded.get(robot) == epoch:
+            return
         life, kept = self._early_s.get(robot, (epoch, deque[float](maxlen=KEPT_VIEWS)))
         if life != epoch:
             kept = deque[float](maxlen=KEPT_VIEWS)

@@ -26,7 +26,7 @@ from fleetpose.pose_server.geometry.features.motion import Mask
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.state.views import KeptView
 from fleetpose.pose_server.workers.jobs import Done
-from fleetpose.protocol.messages import Alarm, Camera, ViewName
+from fleetpose.protocol.messages import Alarm, Camera, CameraAnnouncement, ViewName
 
 log = logging.getLogger("pose_server")
 
@@ -86,6 +86,13 @@ def note_arrival(site: Site, view: KeptView, now_ns: int) -> None:
         if view.on_way_s <= SLOW_S:
             site.depths.clocks.note(robot, epoch, 1e-9 * (view.stamp_ns - now_ns))
         site.depths.note_change()
+
+
+def note_announcement(site: Site, announcement: CameraAnnouncement) -> None:
+    """Keeps whose time a robot's stamps are of: a recording's arrive long after they were taken."""
+    recorded = announcement.clock == "recorded"
+    site.depths.clocks.note_recorded(announcement.robot, announcement.epoch, recorded)
+    site.depths.note_change()
 
 
 def note_motion(site: Site, view: ViewName, mask: Mask | None) -> None:

@@ -20,6 +20,7 @@ from fleetpose.protocol.messages.camera import ROBOT_FROM_CAMERA as ROBOT_FROM_C
 from fleetpose.protocol.messages.camera import Camera
 from fleetpose.protocol.messages.camera import NoiseModel as NoiseModel
 from fleetpose.protocol.messages.fields import (
+    Clock,
     Count,
     Epoch,
     Many,
@@ -46,10 +47,10 @@ from fleetpose.protocol.messages.view_name import ViewName as ViewName
 class CameraAnnouncement(
     Message,
     frozen=True,
-    schema="fleet.camera_announcement.v2",
-    before="fleet.camera_announcement.v1",
+    schema="fleet.camera_announcement.v3",
+    before="fleet.camera_announcement.v2",
 ):
-    """What is latched under `robot/<id>/camera`. v2 says which version the robot runs."""
+    """What is latched under `robot/<id>/camera`. v3 says whose time its stamps are of."""
 
     robot: Name
     epoch: Epoch
@@ -57,6 +58,11 @@ class CameraAnnouncement(
     rate_hz: Positive
     capabilities: Many[Name] = ()
     version: Text = Field(default="", description="of the robot's software")
+    clock: Clock = Field(
+        default="live",
+        description="whose time stamps are of: the robot's clock now (live), or that of a "
+        "recording (recorded), whose views come long after they were taken",
+    )
 
 
 class DepthCloud(Message, frozen=True, schema="fleet.depth_cloud.v1", at_most=MAX_MESSAGE_BYTES):

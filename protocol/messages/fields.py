@@ -16,6 +16,7 @@ def _printable(value: Any) -> Any:
     return one_line(value) if isinstance(value, str) else value
 
 
+Clock = Literal["live", "recorded"]
 Verdict = Literal["verified", "plausible", "ambiguous", "rejected"]
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 Epoch = Annotated[str, Field(pattern=EPOCH_PATTERN)]

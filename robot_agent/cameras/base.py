@@ -49,6 +49,16 @@ class ScatteredPoints:
 Ranges = DepthImage | DisparityImage | ScatteredPoints
 
 
+@dataclass(frozen=True, eq=False)
+class OdometryPose:
+    """Where the robot is in its own odometry frame: T_odom_robot (4, 4), and its covariance (6, 6),
+    left, rotation first; None where it is not known.
+    """
+
+    T_odom_robot: npt.NDArray[np.float64]
+    covariance: npt.NDArray[np.float64] | None = None
+
+
 @dataclass(frozen=True)
 class Frame:
     """One moment of one camera.
@@ -61,6 +71,7 @@ class Frame:
         model: intrinsics, extrinsics and noise of this very frame.
         up_camera: unit vector against gravity in the camera frame, where it is known.
         raw: the images as a live device gave them, of each eye; empty where they are recorded.
+        odometry: of this moment, from a camera that knows it.
         has_image: whether the image is one; else it is drawn of the ranges, for operators.
         frozen_s: for how long these have been identical to the last bit; `FleetRobot` looks.
     """
@@ -74,6 +85,7 @@ class Frame:
     raw: tuple[npt.NDArray[np.uint8], ...] = ()
     frozen_s: float = 0.0
     has_image: bool = True
+    odometry: OdometryPose | None = None
 
 
 class Camera(Protocol):

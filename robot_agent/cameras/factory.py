@@ -19,6 +19,7 @@ _MODULES: dict[CameraKind, str] = {
     "bundler": "folders.reconstruction",
     "cloud": "folders.cloud",
     "stereo": "stereo.matching",
+    "bag": "bag.camera",
     "synthetic": "synthetic",
 }
 _OPTIONS = {
@@ -27,6 +28,7 @@ _OPTIONS = {
     "cloud": ("axes", "metres_per_unit"),
     "stereo": ("calibration", "video", "stop", "translation_unit"),
     "rgbd": ("calibration", "depth_scale"),
+    "bag": ("calibration", "bag", "stop", "translation_unit"),
 }
 
 
@@ -44,6 +46,7 @@ def open_camera(
     stop: threading.Event | None = None,
     translation_unit: float | None = None,
     depth_scale: float | None = None,
+    bag: Any = None,
 ) -> Camera:
     """Opens a camera.
 
@@ -55,11 +58,12 @@ def open_camera(
         view: posed views and reconstructions, the one view to take.
         metres_per_unit: reconstructions, whose scale is arbitrary, and clouds.
         axes: clouds only, `robot` or `optical`.
-        calibration: stereo and rgbd, its file.
+        calibration: stereo, rgbd and bags, its file.
         video: stereo only, `robot_agent.cameras.stereo.video.VideoSettings`.
-        stop: stereo only, ends the waiting for a device.
-        translation_unit: stereo only, metres that one of the calibration's translation is.
+        stop: stereo and bags, ends the waiting for a device or the next frame.
+        translation_unit: stereo and bags, metres that one of the calibration's translation is.
         depth_scale: rgbd only, steps of its depth images per metre.
+        bag: bags only, `robot_agent.cameras.bag.options.BagOptions`.
 
     Raises:
         FleetPoseError: the source cannot be read or is not calibrated.
@@ -74,6 +78,7 @@ def open_camera(
         "stop": stop,
         "translation_unit": translation_unit,
         "depth_scale": depth_scale,
+        "bag": bag,
     }
     name = "reconstruction" if kind == "bundler" else kind
     module = import_module(f"fleetpose.robot_agent.cameras.{_MODULES[kind]}")

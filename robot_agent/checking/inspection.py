@@ -3,7 +3,6 @@ command that runs it.
 """
 
 import itertools
-import logging
 import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -15,7 +14,9 @@ from fleetpose.robot_agent.cameras.factory import open_camera
 from fleetpose.robot_agent.cameras.kinds import CameraKind
 from fleetpose.robot_agent.cameras.stereo.video import is_device
 from fleetpose.robot_agent.cameras.understood import Understood, understood_of
+from fleetpose.robot_agent.checking.told import Told
 from fleetpose.robot_agent.features.keypoints import salient_of
+from fleetpose.rosmsg import METADATA, is_bag
 
 _OF_FOLDERS: tuple[CameraKind, ...] = ("stereo", "rgbd", "views", "reconstruction", "cloud")
 _OF_FILES: tuple[CameraKind, ...] = ("cloud", "reconstruction", "stereo")
@@ -25,6 +26,7 @@ _WHAT = {
     "views": "posed views",
     "reconstruction": "a reconstruction",
     "cloud": "scans without images",
+    "bag": "a bag",
 }
 _FEW_POINTS = 100  # salient points with depth, of which the aligner still makes something
 
@@ -79,7 +81,7 @@ def inspect(
     """
     path = Path(source)
     stream = is_device(source) or not path.exists()
-    kinds = ("stereo",) if stream else _OF_FOLDERS if path.is_dir() else _OF_FILES
+    kinds = ("stereo",) if stream else _kinds_of(path)
     options = {
         "calibration": calibration,
         "translation_unit": translation_unit,
@@ -87,33 +89,35 @@ def inspect(
         "clouds": clouds,
     }
     refusals: list[str] = []
-    told = _Told()
-    logging.getLogger("fleetpose").addHandler(told)
-    try:
+    with Told() as told:
         for kind in kinds:
             told.lines.clear()
             try:
-                frame = _first_frame(open_camera(kind, source, "once", **options))
+                camera = open_camera(kind, source, "once", **options)
+                frame = _first_frame(camera)
+                if kind == "bag":
+                    told.lines[:0] = _roles_of(camera)
             except DataFolderError as error:
                 refusals.append(f"{kind}: {str(error).removeprefix(source).lstrip()}")
                 continue
             return _inspection(kind, source, frame, options, told.lines)
-    finally:
-        logging.getLogger("fleetpose").removeHandler(told)
     raise DataFolderError(f"{source} is of no kind that is known:\n  " + "\n  ".join(refusals))
 
 
-class _Told(logging.Handler):
-    """Keeps the warnings of the readers, each once."""
+def _kinds_of(path: Path) -> tuple[CameraKind, ...]:
+    if not is_bag(path):
+        return _OF_FOLDERS if path.is_dir() else _OF_FILES
+    return ("bag",) if path.is_file() or (path / METADATA).is_file() else (*_OF_FOLDERS, "bag")
 
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.lines: list[str] = []
 
-    def emit(self, record: logging.LogRecord) -> None:
-        line = record.getMessage()
-        if line not in self.lines:
-            self.lines.append(line)
+def _roles_of(camera: Camera) -> list[str]:
+    from fleetpose.robot_agent.cameras.bag.camera import BagCamera
+    from fleetpose.rosmsg.roles import missing
+
+    assert isinstance(camera, BagCamera)
+    roles = camera.recording.roles
+    taken = ", ".join(f"{role} {topic}" for role, topic in roles.names.items() if topic)
+    return [f"{taken} (robot-agent topics says why)", *missing(roles)]
 
 
 def _first_frame(camera: Camera) -> Frame:

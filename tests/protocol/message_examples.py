@@ -139,6 +139,7 @@ EXAMPLES = {
             rate_hz=1.0,
             capabilities=("image",),
             version="0.1.0",
+            clock="recorded",
         ),
         m.Heard(
             robot="r1",

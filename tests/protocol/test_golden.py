@@ -25,7 +25,7 @@ ADDED = {
     },
     "fleet.question.v1": {"suggestions": ()},
     "fleet.view.v2": {"on_way_s": 0.0, "share": 1.0},
-    "fleet.camera_announcement.v1": {"version": ""},
+    "fleet.camera_announcement.v2": {"clock": "live"},
     "fleet.status.v2": {"denied": (), "refused": {}},
 }
 """What the reader puts where an earlier version had no field yet."""

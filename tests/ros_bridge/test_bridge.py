@@ -17,10 +17,10 @@ from fleetpose.protocol.transport import Link, SessionSettings, open_session, wa
 from fleetpose.ros_bridge.bridge import ODOMETRY, POSE, TF, Bridge
 from fleetpose.ros_bridge.settings import BridgeSettings
 from fleetpose.ros_bridge.topics import Writer
-from fleetpose.rosmsg import rmw_zenoh
-from fleetpose.rosmsg.rmw_zenoh import NO_HASH, endpoint_of, publisher_token
+from fleetpose.rosmsg.dialects import rmw_zenoh
+from fleetpose.rosmsg.dialects.rmw_zenoh import NO_HASH, endpoint_of, publisher_token
 from fleetpose.rosmsg.transforms import Tf, inverse
-from tests.ros_bridge.test_fleet_tree import MADE, odometry, pose, told, transforms
+from tests.ros_bridge.test_fleet_tree import odometry, pose, told, transforms
 
 KEYS = Keys("demo")
 WITHIN_S = 20.0

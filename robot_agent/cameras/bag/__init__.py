@@ -1,0 +1,1 @@
+"""Cameras out of bags: ROS 1 and ROS 2, without ROS."""
