@@ -1,15 +1,10 @@
 """`pose-ros`: the command line of the way to ROS 2."""
 
-import signal
-import threading
-from contextlib import ExitStack
 from typing import Any
 
 import typer
 
 from fleetpose.protocol.commands import Version, require, run_command
-from fleetpose.protocol.errors import EndedError
-from fleetpose.protocol.logs import log_to_stderr
 from fleetpose.protocol.settings import DumpSettings, SettingsFile, with_options
 from fleetpose.ros_bridge.settings import BridgeSettings
 
@@ -47,24 +42,9 @@ def bridge(
         print(loaded.as_toml(), end="")
         return
     require("ros")
-    from fleetpose.protocol.transport import Link, open_session
-    from fleetpose.ros_bridge.bridge import Bridge
+    from fleetpose.ros_bridge.running import run_bridge
 
-    log_to_stderr()
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
-    with ExitStack() as opened:
-        try:
-            fleet = Link(open_session(loaded.of_fleet(stop)))
-            opened.callback(fleet.close)
-            ros = fleet
-            if (other := loaded.of_ros(stop)) is not None:
-                ros = Link(open_session(other))
-                opened.callback(ros.close)
-        except EndedError:
-            return
-        Bridge(loaded, fleet, ros).run(stop)
+    run_bridge(loaded)
 
 
 def main() -> None:

@@ -1,12 +1,10 @@
-"""Carries the fleet's poses to ROS 2, where no ROS is installed: from the site's router to the
-router that the robots' nodes speak on, which may be the same.
-"""
+"""Carries the fleet's poses from the site's router to the topics of ROS 2."""
 
 import logging
 import queue
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from fleetpose.protocol.codec import unpack
@@ -18,14 +16,10 @@ from fleetpose.protocol.transport import Link, Sample
 from fleetpose.ros_bridge.fleet_tree import FLEET, MAP, Hung, RobotTree
 from fleetpose.ros_bridge.outgoing import Outgoing
 from fleetpose.ros_bridge.settings import BridgeSettings
-from fleetpose.ros_bridge.topics import Message, Reader, Writer
-from fleetpose.rosmsg.dialects import rmw_zenoh
-from fleetpose.rosmsg.dialects.rmw_zenoh import Endpoint
+from fleetpose.ros_bridge.topics import ODOMETRY, POSE, TF, Message, Topics, Wanted
 
 log = logging.getLogger("pose-ros")
 
-TF, ODOMETRY = "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
-POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 JOIN_S = 0.1  # between two tellings of where a robot's tree hangs: tf2 looks back ten seconds
 _TAKE_S = 0.02
 _PART_S = 0.05  # after which a turn ends however much waits
@@ -36,18 +30,20 @@ class Bridge:
     """Joins robots' frames under `fleet`, and publishes their poses.
 
     Args:
-        settings: whose topics, and where.
-        fleet: link to the site; ros: link on which ROS 2 speaks.
+        settings: whose topics, and which are written.
+        fleet: link to the site.
+        topics: gives those of ROS 2, of what is wanted and where drops are counted.
     """
 
-    def __init__(self, settings: BridgeSettings, fleet: Link, ros: Link) -> None:
+    def __init__(
+        self, settings: BridgeSettings, fleet: Link, topics: Callable[[Wanted, Drops], Topics]
+    ) -> None:
         self._settings, self._keys = settings, Keys(settings.site)
         self._trees = {name: RobotTree(name, settings.base) for name in settings.robots}
         self._drops = Drops()
         self._poses: queue.SimpleQueue[RobotPose] = queue.SimpleQueue()
-        self._made = Outgoing(rmw_zenoh.types().types.__getitem__)
-        self._writer = Writer(ros, settings.domain)
-        self._reader = Reader(ros, settings.domain, self._wants, self._drops, self._writer.note)
+        self._ros = topics(self._wants, self._drops)
+        self._made = Outgoing(self._ros.types)
         self._joined_s = self._reported_s = 0.0
         self._told: set[str] = set()
         for name in settings.robots:
@@ -62,8 +58,8 @@ class Bridge:
             self._join()
             self._report()
 
-    def _wants(self, endpoint: Endpoint) -> bool:
-        return endpoint.type in (TF, ODOMETRY) and self._robot_of(endpoint.topic) is not None
+    def _wants(self, topic: str, type: str) -> bool:
+        return type in (TF, ODOMETRY) and self._robot_of(topic) is not None
 
     def _robot_of(self, topic: str) -> str | None:
         """Whose namespace a topic is in; what is published here itself is nobody's."""
@@ -84,26 +80,26 @@ class Bridge:
 
     def _read(self) -> None:
         end_s = time.monotonic() + _PART_S
-        message = self._reader.take(_TAKE_S)
-        while message is not None:
+        while time.monotonic() < end_s:
             try:
+                message = self._ros.take(_TAKE_S)
+                if message is None:
+                    return
                 self._tell(self._taken(message))
             except FleetPoseError as error:
-                self._drops.note(message.endpoint.key, error)
-            message = None if time.monotonic() > end_s else self._reader.take(0.001)
+                self._drops.note("ros", error)
 
     def _taken(self, message: Message) -> list[Hung]:
         """What of a robot's own frames goes on at once."""
-        endpoint = message.endpoint
-        name = self._robot_of(endpoint.topic)
+        name = self._robot_of(message.topic)
         if name is None:
             return []
         tree = self._trees[name]
-        if endpoint.type == ODOMETRY:
-            return tree.take_odometry(message.read())
-        if not endpoint.topic.endswith("tf_static"):
-            return tree.take_tf(message.read(), static=False)
-        if tree.take_tf(message.read(), static=True):
+        if message.type == ODOMETRY:
+            return tree.take_odometry(message.content)
+        if not message.topic.endswith("tf_static"):
+            return tree.take_tf(message.content, static=False)
+        if tree.take_tf(message.content, static=True):
             self._tell_standing()
         return []
 
@@ -120,9 +116,9 @@ class Bridge:
         T, covariance, base = pose.T_fleet_robot, pose.covariance, tree.named(self._settings.base)
         topic = f"/{FLEET}/{pose.robot}"
         made = self._made.pose(FLEET, T, covariance, pose.stamp_ns)
-        self._writer.put(f"{topic}/pose", POSE, made)
+        self._ros.put(f"{topic}/pose", POSE, made)
         made = self._made.odometry(FLEET, base, T, covariance, pose.stamp_ns)
-        self._writer.put(f"{topic}/odometry", ODOMETRY, made)
+        self._ros.put(f"{topic}/odometry", ODOMETRY, made)
 
     def _join(self) -> None:
         now_s = time.monotonic()
@@ -146,11 +142,11 @@ class Bridge:
             return
         made = self._made.transform(MAP, tree.root, hung.T_parent_child, hung.stamp_ns)
         topic = f"{self._settings.namespaces[name]}/tf"
-        self._writer.put(topic, TF, self._made.transforms([made]))
+        self._ros.put(topic, TF, self._made.transforms([made]))
 
     def _tell(self, hung: Sequence[Hung]) -> None:
         if hung:
-            self._writer.put(self._settings.tf, TF, self._message(hung))
+            self._ros.put(self._settings.tf, TF, self._message(hung))
 
     def _tell_standing(self) -> None:
         """All frames that never move, of all who are joined: whoever comes late gets the last."""
@@ -158,7 +154,7 @@ class Bridge:
         trees = [tree for tree in self._trees.values() if tree.joins(now_s)]
         if standing := [hung for tree in trees for hung in tree.standing]:
             topic = f"{self._settings.tf}_static"
-            self._writer.put(topic, TF, self._message(standing), latched=True)
+            self._ros.put(topic, TF, self._message(standing), latched=True)
 
     def _message(self, hung: Sequence[Hung]) -> Any:
         return self._made.transforms([self._made.transform(*one) for one in hung])

@@ -5,6 +5,7 @@ that is as strict as rmw_zenoh: it drops what has another hash or no attachment.
 import struct
 import threading
 from contextlib import ExitStack, contextmanager
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import RobotPose
 from fleetpose.protocol.settings import SettingsRefusedError
 from fleetpose.protocol.transport import Link, SessionSettings, open_session, wait_until
-from fleetpose.ros_bridge.bridge import ODOMETRY, POSE, TF, Bridge
+from fleetpose.ros_bridge.bridge import Bridge
 from fleetpose.ros_bridge.settings import BridgeSettings
-from fleetpose.ros_bridge.topics import Writer
+from fleetpose.ros_bridge.topics import ODOMETRY, POSE, TF
+from fleetpose.ros_bridge.zenoh_topics import Writer, ZenohTopics
 from fleetpose.rosmsg.dialects import rmw_zenoh
 from fleetpose.rosmsg.dialects.rmw_zenoh import NO_HASH, endpoint_of, publisher_token
 from fleetpose.rosmsg.transforms import Tf, inverse
@@ -65,7 +67,7 @@ def bridging(router, **given):
         links = [Link(open_session(SessionSettings(connect=(router,)))) for _ in range(4)]
         for link in links:
             opened.callback(link.close)
-        bridge = Bridge(settings, links[0], links[0])
+        bridge = Bridge(settings, links[0], partial(ZenohTopics, links[0], 0))
         thread = threading.Thread(target=bridge.run, args=(stop,), daemon=True)
         thread.start()
         opened.callback(thread.join)
