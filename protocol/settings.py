@@ -31,7 +31,7 @@ from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.keys import checked_endpoint, checked_name
 
 F = TypeVar("F", bound=Callable[..., Any])
-PREFIXES = ("FLEETPOSE_ROBOT_", "FLEETPOSE_SERVER_", "FLEETPOSE_HMI_")
+PREFIXES = ("FLEETPOSE_ROBOT_", "FLEETPOSE_SERVER_", "FLEETPOSE_HMI_", "FLEETPOSE_BRIDGE_")
 _file: ContextVar[Path | None] = ContextVar("file", default=None)  # that is read at present
 _CLOSE = 0.75  # of a misspelt name to the one that was meant, as difflib counts
 
@@ -52,7 +52,7 @@ def checked_text(check: Callable[[str], str]) -> AfterValidator:
     return AfterValidator(validate)
 
 
-def _listed(value: Any) -> Any:
+def listed(value: Any) -> Any:
     """A list may stand in the environment as JSON, or with commas or spaces."""
     if not isinstance(value, str):
         return value
@@ -61,7 +61,7 @@ def _listed(value: Any) -> Any:
 
 Name = Annotated[str, checked_text(checked_name)]
 Endpoints = Annotated[
-    tuple[Annotated[str, checked_text(checked_endpoint)], ...], NoDecode, BeforeValidator(_listed)
+    tuple[Annotated[str, checked_text(checked_endpoint)], ...], NoDecode, BeforeValidator(listed)
 ]
 
 

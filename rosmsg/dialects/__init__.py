@@ -1,0 +1,1 @@
+"""How ROS 2 speaks on zenoh."""
