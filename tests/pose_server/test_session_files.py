@@ -11,12 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fleetpose.formats.tum import tum_line
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.correspondences.journal import Journal
 from fleetpose.pose_server.correspondences.records import JournalError
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore, Kept
 from fleetpose.pose_server.frontend.frames import body_pose
-from fleetpose.pose_server.persistence.export import ExportError, export, tum_line
+from fleetpose.pose_server.persistence.export import ExportError, export
 from fleetpose.pose_server.persistence.graph_store import Graph, GraphStore
 from fleetpose.pose_server.persistence.graph_writer import graph_of
 from fleetpose.pose_server.persistence.importing import import_files
