@@ -41,7 +41,7 @@ APPS = {
 }
 MOST_WORDS, MOST_LINES = 800, 90
 FOLDERS = (
-    *("protocol", "robot_agent", "pose_server", "hmi_client", "evaluation", "deploy"),
+    *("formats", "protocol", "robot_agent", "pose_server", "hmi_client", "evaluation", "deploy"),
     *("scripts", "tests"),
 )
 

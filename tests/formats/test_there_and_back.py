@@ -1,6 +1,7 @@
 """What is written in a format is read as it was, whatever it was; what others wrote is read too."""
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -114,7 +115,7 @@ def test_colmap_counts_pixels_from_the_corner_and_bundler_from_the_middle_upward
     """By hand: a point a pixel right of and below the axis of a camera of 101x81 pixels."""
     at, T = np.array([[1.0, 1.0]]), pose_of(np.array([1.0, 0, 0, 0]), np.zeros(3))
     photo = Photo("a.jpg", np.array([100.0, 100.0]), np.zeros(4), T, np.array([0]), at)
-    photo = Photo(**{**vars(photo), "centre": np.array([50.0, 40.0]), "size": (101, 81)})
+    photo = replace(photo, centre=np.array([50.0, 40.0]), size=(101, 81))
     model = Model((photo,), np.array([[0.1, 0.1, 10.0]]), np.full((1, 3), 7.0))
     write_colmap(tmp_path, model)
     assert "1 PINHOLE 101 81 100.0 100.0 50.5 40.5" in (tmp_path / "cameras.txt").read_text()
@@ -134,13 +135,13 @@ def test_colmap_counts_pixels_from_the_corner_and_bundler_from_the_middle_upward
 @pytest.mark.parametrize("kind", ("bundler", "nvm"))
 def test_what_a_format_cannot_say_is_refused(tmp_path, kind):
     model = random_model(1)
-    oblong = Photo(**{**vars(model.photos[0]), "focal_px": np.array([500.0, 520.0])})
+    oblong = replace(model.photos[0], focal_px=np.array([500.0, 520.0]))
     with pytest.raises(FormatError, match="not square"):
         through(tmp_path, kind, Model((oblong,), model.points, model.colours))
-    bent = Photo(**{**vars(model.photos[0]), "distortion": np.array([0.1, 0, 0.1, 0])})
+    bent = replace(model.photos[0], distortion=np.array([0.1, 0, 0.1, 0]))
     with pytest.raises(FormatError, match="undistort"):
         through(tmp_path, kind, Model((bent,), model.points, model.colours))
-    named = Photo(**{**vars(model.photos[0]), "name": "a\nb.jpg"})
+    named = replace(model.photos[0], name="a\nb.jpg")
     with pytest.raises(FormatError, match="name"):
         through(tmp_path, kind, Model((named,), model.points, model.colours))
 
@@ -149,7 +150,7 @@ def test_kermit_by_bundler_there_and_back_is_as_good_as_it_was(tmp_path):
     folder = shared_data("bundler_kermit")
     model = read_bundler(next(folder.rglob("bundle.out")))
     undistorted = Model(
-        tuple(Photo(**{**vars(p), "distortion": np.zeros(4)}) for p in model.photos if len(p.seen)),
+        tuple(replace(p, distortion=np.zeros(4)) for p in model.photos if len(p.seen)),
         model.points,
         model.colours,
     )
