@@ -101,13 +101,19 @@ def export_session(
             "the scene's depth, at least two pixels."
         ),
     ] = None,
+    formats: Annotated[
+        str,
+        typer.Option(help="What --out holds beside correspondences, e.g. tum,g2o,colmap."),
+    ] = "tum,g2o",
     state_dir: StateDir = Path("fleetpose-state"),
 ) -> None:
     """Writes what a server knows as files. The server may be running.
 
-    --out: the operators' correspondences (JSON, CSV, with the images they were clicked in), the
-    pose graph (g2o) and where the robots' keyframes are (TUM). Look at a trajectory with `evo_traj
-    tum OUT/trajectories/*/*.tum`.
+    --out: the operators' correspondences (JSON, CSV, with the images they were clicked in), and by
+    --formats: tum, kitti (where robots were in every view that was followed), g2o (the pose graph,
+    one for the fleet), colmap, bundler, nvm (the views that the server keeps, with their points)
+    and ply (the map). OUT/README.txt says what is what. Look at trajectories with `evo_traj tum
+    OUT/tum/*/*.tum`.
 
     --map, --picture: the fleet in 3D, in the frame of the fleet: the clouds of the keyframes of
     all located robots. Each robot has one colour, and in the PLY file a number (`robot`, names in
@@ -117,13 +123,15 @@ def export_session(
     from fleetpose.pose_server.persistence.export import export
 
     files = MapFiles(map_file, picture, voxel_m)
-    written = export(state_dir, out, files, lambda views: _watched(views, "views"))
+    wanted = tuple(name for name in formats.replace(" ", "").split(",") if name)
+    written = export(state_dir, out, files, lambda views: _watched(views, "views"), wanted)
     if written.scene is not None:
         _say_map(files, written.scene)
     if out is not None:
         print(
             f"{out}: {written.correspondences} correspondences with {written.views} views; "
-            f"{written.keyframes} keyframes, {written.links} links, {written.components} components"
+            f"{written.followed} views placed, {written.keyframes} of them keyframes, "
+            f"{written.components} components"
         )
 
 

@@ -9,7 +9,7 @@ if [ "$1" = -c ]; then
   rm -rf "$1"
 fi
 mkdir -p "$1/fleetpose"
-for name in protocol rosmsg robot_agent pose_server hmi_client evaluation deploy ros_bridge; do
+for name in formats protocol rosmsg robot_agent pose_server hmi_client evaluation deploy ros_bridge; do
   $make "$(pwd)/$name" "$1/fleetpose/$name"
 done
 for name in __init__.py py.typed; do

@@ -41,7 +41,8 @@ APPS = {
 }
 MOST_WORDS, MOST_LINES = 800, 90
 FOLDERS = (
-    *("protocol", "rosmsg", "robot_agent", "pose_server", "hmi_client", "evaluation", "deploy"),
+    *("formats", "protocol", "rosmsg", "robot_agent", "pose_server", "hmi_client", "evaluation"),
+    *("deploy", "ros_bridge"),
     *("scripts", "tests"),
 )
 

@@ -4,6 +4,7 @@ import typer
 
 from fleetpose.evaluation.options.building import of
 from fleetpose.evaluation.options.fleets import NeighboursOptions, SynthOptions
+from fleetpose.evaluation.options.published import BenchOptions
 from fleetpose.evaluation.options.recorded import (
     MapOptions,
     Out,
@@ -43,6 +44,23 @@ def fleet_map(options: MapOptions, out: Out) -> None:
     Writes map.ply, map.png and summary.json.
     """
     from fleetpose.evaluation.bench.mapping.command import run
+
+    run(options, out)
+
+
+@app.command()
+@of(BenchOptions)
+def bench(options: BenchOptions, out: Out) -> None:
+    """Play a published benchmark by its sequences as robots, without network and clicks, and print
+    the absolute trajectory error beside what papers report.
+
+    The error is counted twice: after one rigid fit of all robots together, and after one for each.
+    Estimates are those of all views at the end. Writes summary.json and the trajectories (tum/). As
+    unpacked: euroc DATA/MH_01_easy/mav0; kitti DATA/sequences/00 with DATA/poses/00.txt; tum
+    DATA/SEQUENCE/rgb.txt; 7scenes DATA/seq-01/frame-*.pose.txt; replica DATA/SEQUENCE/results.
+    One sequence for three robots: --robots 00 --split 3.
+    """
+    from fleetpose.evaluation.bench.published.command import run
 
     run(options, out)
 

@@ -17,6 +17,7 @@ from fleetpose.evaluation.metrics.scoring import (
     share,
     with_reference,
 )
+from fleetpose.evaluation.metrics.trajectory_error import Positions, trajectory_error
 
 LOCATED_SHARE = 0.9
 """A robot counts as located if it is so in this share of the samples."""
@@ -115,6 +116,7 @@ def summarize_poses(
         for robot, own in by_robot.items()
         if (share(row.located for row in own) or 0.0) >= LOCATED_SHARE
     }
+    ate = trajectory_error(_trajectories(located))
     errors = [own for own in (_errors(kept) for kept in located.values()) if own]
     surprises = [
         row.nees for row in rows if row.located and row.nees is not None and np.isfinite(row.nees)
@@ -125,6 +127,8 @@ def summarize_poses(
         "position_error_mean_m": _mean([_mean(own) for own in errors]),
         "position_error_max_m": max((max(own) for own in errors), default=None),
         "position_error_aligned_m": _aligned(rows, set(located)),
+        "ate_joint_m": ate.joint_m,
+        "ate_robots_mean_m": ate.robots_mean_m,
         "grave_located": sum(is_grave(row, limits) for row in rows),
         "grave_acted": sum(is_grave(row, limits) for row in rows if row.verified),
         "robots_seen_together": len(together),
@@ -156,6 +160,15 @@ def _aligned(rows: Sequence[SampleRow], located: set[str]) -> float | None:
             found = positions(row.T_fleet_robot for row in now)
             means.append(float(aligned_errors_m(true, found).mean()))
     return _mean(means)
+
+
+def _trajectories(located: Mapping[str, Sequence[SampleRow]]) -> dict[str, Positions]:
+    """True and published positions of each robot, over all samples in which it was located."""
+    return {
+        robot: (positions(r.T_world_robot for r in own), positions(r.T_fleet_robot for r in own))
+        for robot, own in located.items()
+        if own
+    }
 
 
 def positions(poses: Iterable[Floats | None]) -> Floats:

@@ -16,6 +16,7 @@ from fleetpose.pose_server.consistency.doubts import (
     wheels_disagree,
 )
 from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose, accepted, moved, standing
+from fleetpose.pose_server.frontend.trajectory import Followed, most_followed
 from fleetpose.pose_server.pose_graph.types import Edge
 from fleetpose.pose_server.registration.refinement import Start
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
@@ -118,6 +119,7 @@ def followed(site: Site, done: Done) -> None:
     if step == "keyframe":
         new_keyframe(site, robot, view)
     else:
+        _note_followed(site, robot, view)
         _ask_for_covariance(site, robot.track.attached[view].keyframe)
     if past:
         _placed(site, view)
@@ -132,6 +134,7 @@ def new_keyframe(site: Site, robot: Robot, view: ViewName) -> None:
     """
     link = robot.track.link_of(view)
     robot.track.begin(view)
+    _note_followed(site, robot, view)
     if link is not None:
         # in another life the robot did not come from there by what it did: it was recognised
         kind = "odometry" if link.keyframe.epoch == view.epoch else "pair"
@@ -243,8 +246,17 @@ def _stayed(site: Site, robot: Robot, view: KeptView, keyframe: ViewName | None)
     if view.name not in robot.track.past and wheels_disagree(site, robot, here):
         return True  # it waits for nothing, and hangs nowhere
     robot.track.hang(here)
+    _note_followed(site, robot, view.name)
     _ask_for_covariance(site, keyframe)
     return True
+
+
+def _note_followed(site: Site, robot: Robot, view: ViewName) -> None:
+    """Where a view hangs is known longer than the view is kept."""
+    here = robot.track.attached[view]
+    way, stamp_ns = (here.T_keyframe_view, here.covariance), site.views[view].stamp_ns
+    followed = Followed(view, stamp_ns, here.keyframe, *way, here.verdict)
+    robot.track.trajectory.note(followed, most_followed(len(site.robots)))
 
 
 def _ask_for_covariance(site: Site, keyframe: ViewName) -> None:
@@ -287,8 +299,28 @@ def _drop_keyframe(site: Site, robot: Robot) -> None:
     oldest = next((view for view in _spare(site, robot) if view not in kept), None)
     if oldest is None:
         return
+    _hang_elsewhere(site, robot, oldest)
     robot.track.forget({oldest})
     site.forget_keyframe(oldest)
+
+
+def _hang_elsewhere(site: Site, robot: Robot, keyframe: ViewName) -> None:
+    """What hung on a keyframe that goes hangs on the nearest one that stays."""
+    near = [
+        (moved(T, site.views[keyframe].median_depth_m), other)
+        for other in robot.track.keyframes
+        if other != keyframe and (T := site.relative(other, keyframe)) is not None
+    ]
+    if not near:
+        robot.track.trajectory.forget(keyframe)
+        return
+    _, other = min(near, key=lambda one: one[0])
+    assert site.solution is not None
+    found = site.solution.relative(other, keyframe)
+    assert found is not None
+    unknown = np.full((6, 6), np.nan)
+    covariance = unknown if found.covariance is None else found.covariance
+    robot.track.trajectory.rehang(keyframe, other, found.T_a_b, covariance)
 
 
 def _spare(site: Site, robot: Robot) -> list[ViewName]:

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from fleetpose.pose_server.frontend.trajectory import Trajectory
 from fleetpose.pose_server.geometry.features.motion import Mask
 from fleetpose.pose_server.geometry.se3 import rotation_angle
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
@@ -54,6 +55,7 @@ class Track:
         past: older views that are being placed: they do not tell where the robot is now.
         masks: where something moves, of the views of which that is known.
         blind: keyframes in a row that hang by odometry alone.
+        trajectory: where views hang, also those that are no longer kept.
         motion_s: when something was seen to move last, by the server's monotonic clock;
             motion_told: whether operators were told of that.
     """
@@ -64,6 +66,7 @@ class Track:
     newest: KeyframeRelativePose | None = None
     past: set[ViewName] = field(default_factory=set)
     masks: dict[ViewName, Mask] = field(default_factory=dict)
+    trajectory: Trajectory = field(default_factory=Trajectory)
     motion_s: float = -np.inf
     motion_told: bool = False
     blind: int = 0
@@ -85,6 +88,10 @@ class Track:
         self.attached[view] = KeyframeRelativePose(
             view, view, np.eye(4), np.zeros((6, 6)), "verified"
         )
+
+    def recall_at(self, here: KeyframeRelativePose) -> None:
+        """Hangs a view of an earlier life where it hung then."""
+        self.attached[here.view] = here
 
     def hang(self, here: KeyframeRelativePose) -> None:
         """Hangs a view on a keyframe; if it is none of the past, the robot is there now."""

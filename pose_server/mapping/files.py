@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from fleetpose.pose_server.mapping.ply import write_ply
+from fleetpose.pose_server.mapping.ply import write_map
 from fleetpose.pose_server.mapping.scene import Scene
 from fleetpose.protocol.errors import FleetPoseError
 
@@ -62,7 +62,7 @@ class MapFiles:
         if self.cloud is not None:
             with _told("--map", self.cloud):
                 self.cloud.parent.mkdir(parents=True, exist_ok=True)
-                write_ply(self.cloud, scene.fleet_map)
+                write_map(self.cloud, scene.fleet_map)
         if self.picture is not None:
             from fleetpose.pose_server.mapping.picture import draw  # matplotlib takes a while
 

@@ -1,43 +1,54 @@
 """A session as files, and its map: what `pose-server export` writes."""
 
-import csv
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import gtsam
-import numpy as np
-import numpy.typing as npt
-
+from fleetpose.formats.arrays import FormatError
 from fleetpose.pose_server.correspondences.journal import Journal
-from fleetpose.pose_server.frontend.frames import body_pose
-from fleetpose.pose_server.geometry.se3 import quat_wxyz
 from fleetpose.pose_server.mapping.files import MapFiles
 from fleetpose.pose_server.mapping.located import Watched, map_of
 from fleetpose.pose_server.mapping.scene import Scene
 from fleetpose.pose_server.persistence.opening import ExportError, opened_session
+from fleetpose.pose_server.persistence.photos import reconstruction_of, write_reconstruction
+from fleetpose.pose_server.persistence.placed import placed_views
 from fleetpose.pose_server.persistence.table import write_csv, write_json
-from fleetpose.pose_server.pose_graph import factors as gt
-from fleetpose.pose_server.pose_graph.links import links_of
-from fleetpose.pose_server.pose_graph.types import SolveSettings
+from fleetpose.pose_server.persistence.trajectories import (
+    write_g2o_files,
+    write_kitti_files,
+    write_tum_files,
+)
 from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.pose_server.state.site import Site
 from fleetpose.protocol.codec import pack, unpack
 from fleetpose.protocol.messages import KeptView, View, ViewName
 
-Floats = npt.NDArray[np.floating]
+RECONSTRUCTIONS = ("colmap", "bundler", "nvm")
+FORMATS = ("tum", "kitti", "g2o", *RECONSTRUCTIONS, "ply")
+USUAL = ("tum", "g2o")
 VIEWS = "views"
 VIEW_ENDING = ".view"
-README = """What a fleetpose server knew, as `pose-server export` wrote it.
+README = """What a fleetpose server knew, as `pose-server export` wrote it. Metres, radians; camera
+axes are OpenCV's (x right, y down, z ahead). The fleet frame is that of the anchor's component;
+others have their own.
 
 correspondences.json, .csv  points that operators clicked in two images: pixels, and the points in
-                            the camera frames of their views, metres
-fleet.g2o                   pose graph of the cameras: VERTEX_SE3:QUAT, EDGE_SE3:QUAT with the
-                            information matrix (gtsam's order of tangent vectors); links that were
-                            found wrong are left out, clicks between two views are one edge
-keyframes.csv               which vertex is which view
-trajectories/<component>/   robots' bodies in the fleet frame, one TUM file per robot:
-                            time tx ty tz qx qy qz qw, by the robot's clock
+                            the camera frames of their views
 views/                      the views that were clicked in, for `pose-server import`, and images
+tum/<component>/            robots' bodies, every followed view: time tx ty tz qx qy qz qw, by the
+                            robot's clock
+kitti/<component>/          robots' cameras: the upper rows of T_fleet_camera, and times in s
+fleet.g2o                   pose graph of the cameras of the anchor's component, its root held still
+                            (FIX); g2o/<component>.g2o: the others. Links that were found wrong are
+                            left out, clicks between two views are one edge. Information matrices
+                            are g2o's own, for translation and half angles: gtsam, which reads whole
+                            angles, takes rotations four times too exactly
+vertices.csv                which vertex is which view, and on which keyframe it hangs
+colmap/                     sparse/0 (binary) and images: the views that the server has points of;
+                            points have no colours, images are those that operators clicked in
+bundler/, nvm/              the same; these formats know no principal point (nvm does where all
+                            cameras share theirs): features count from it
+fleet.ply                   the clouds of all located robots
 """
 
 
@@ -46,6 +57,8 @@ class Exported:
     """How much was written.
 
     Attributes:
+        views: that were clicked in.
+        followed: all views whose poses are known, keyframes among them.
         scene: the map, if one was asked for.
     """
 
@@ -54,6 +67,7 @@ class Exported:
     links: int = 0
     components: int = 0
     views: int = 0
+    followed: int = 0
     scene: Scene | None = None
 
 
@@ -62,6 +76,7 @@ def export(
     out: Path | None = None,
     mapped: MapFiles = MapFiles(),  # noqa: B008 (frozen)
     watched: Watched = iter,
+    formats: Sequence[str] = USUAL,
 ) -> Exported:
     """Writes the session of a state folder, its map, or both; its server may be running.
 
@@ -71,11 +86,16 @@ def export(
         out: folder for the session.
         mapped: files for the map.
         watched: goes through the views of the map, e.g. with a progress bar.
+        formats: of the folder, of `FORMATS`.
 
     Raises:
         FleetPoseError: there is no session, it cannot be read, no robot is located, or a file or
             the folder not be written.
     """
+    if unknown := [name for name in formats if name not in FORMATS]:
+        raise ExportError(f"--formats {unknown[0]}: known are {','.join(FORMATS)}")
+    if out is not None and "ply" in formats and mapped.cloud is None:
+        mapped = replace(mapped, cloud=out / "fleet.ply")
     mapped.check()
     if out is None and not mapped.wanted:
         raise ExportError("say what to write: --out FOLDER, --map FILE.ply or --picture FILE.png")
@@ -88,76 +108,42 @@ def export(
         if out is None:
             return Exported(scene=scene)
         try:
-            return replace(_written(site, journal, out), scene=scene)
+            return replace(_written(site, journal, out, formats), scene=scene)
         except OSError as error:
             raise ExportError(f"--out {out}: {error.strerror or error}") from error
+        except FormatError as error:
+            raise ExportError(str(error)) from error
 
 
-def _written(site: Site, journal: Journal, out: Path) -> Exported:
+def _written(site: Site, journal: Journal, out: Path, formats: Sequence[str]) -> Exported:
     out.mkdir(parents=True, exist_ok=True)
     (out / "README.txt").write_text(README)
     items = site.correspondences.all()
     write_json(out / "correspondences.json", items, anchor=site.anchor)
     write_csv(out / "correspondences.csv", items)
-    links = _write_graph(site, out)
-    components = _write_trajectories(site, out / "trajectories")
     views = _write_views(journal, site.correspondences.views(), out / VIEWS)
-    return Exported(len(items), len(site.keyframes()), links, components, views)
+    placed = placed_views(site)
+    if "tum" in formats:
+        write_tum_files(placed, out / "tum")
+    if "kitti" in formats:
+        write_kitti_files(placed, out / "kitti")
+    edges = write_g2o_files(site, placed, out) if "g2o" in formats else 0
+    if photos := [name for name in formats if name in RECONSTRUCTIONS]:
+        model, images = reconstruction_of(site, placed), _images(journal)
+        for name in photos:
+            write_reconstruction(name, out / name, model, images)
+    keyframes = sum(one.is_keyframe for one in placed.values())
+    components = len({one.component for one in placed.values()})
+    return Exported(len(items), keyframes, edges, components, views, len(placed))
 
 
-def _write_graph(site: Site, out: Path) -> int:
-    """The cameras of all keyframes, component by component, and the links that hold them."""
-    solution = site.solution
-    names = [] if solution is None else [v for c in solution.components.values() for v in c]
-    number = {view: k for k, view in enumerate(names)}
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    edges = []
-    if solution is not None:
-        for view, k in number.items():
-            values.insert(k, gtsam.Pose3(solution.nodes[view].T_root_camera))
-        edges = [e for e in site.edges.values() if solution.edges[e.key].weight > 0.0]
-        settings = SolveSettings.at_depth(site.depth_m)
-        for link in links_of(edges, number, settings):
-            graph.push_back(gt.between(link))
-        for (a, b), (_, summary) in solution.told.items():
-            graph.push_back(gt.click_factor(number[a], number[b], summary))
-    gtsam.writeG2o(graph, values, str(out / "fleet.g2o"))
-    with (out / "keyframes.csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(("vertex", "robot", "epoch", "seq", "stamp_ns", "component", "verdict"))
-        for view, k in number.items():
-            assert solution is not None
-            node = solution.nodes[view]
-            component = site.component_name(node.root)
-            stamp_ns = site.views[view].stamp_ns
-            writer.writerow(
-                (k, view.robot, view.epoch, view.seq, stamp_ns, component, node.verdict)
-            )
-    return graph.size()
-
-
-def _write_trajectories(site: Site, folder: Path) -> int:
-    """One file per robot and component: poses of different components do not compare."""
-    if site.solution is None:
-        return 0
-    lines: dict[Path, list[tuple[int, str]]] = {}
-    for view, node in site.solution.nodes.items():
-        kept = site.views[view]
-        T_fleet_root = site.fleet_from_root(node.root)
-        T = body_pose(T_fleet_root, node.T_root_camera, kept.camera.T_robot_camera)
-        path = folder / site.component_name(node.root) / f"{view.robot}.tum"
-        lines.setdefault(path, []).append((kept.stamp_ns, tum_line(kept.stamp_ns, T)))
-    for path, own in lines.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("".join(f"{line}\n" for _, line in sorted(own)))
-    return len(site.solution.components)
-
-
-def tum_line(stamp_ns: int, T: Floats) -> str:
-    """`timestamp tx ty tz qx qy qz qw` of a pose (4, 4), seconds and metres."""
-    w, x, y, z = quat_wxyz(T[:3, :3])
-    numbers = " ".join(f"{value:.9f}" for value in (*T[:3, 3], x, y, z, w))
-    return f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d} {numbers}"
+def _images(journal: Journal) -> dict[ViewName, bytes]:
+    """The images that the server has, in the resolution of their cameras."""
+    return {
+        view.name: view.jpeg
+        for view in journal.views()
+        if view.jpeg is not None and (view.header is None or view.header.scale == 1)
+    }
 
 
 def _write_views(journal: Journal, clicked: set[ViewName], folder: Path) -> int:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from fleetpose.pose_server.frontend.trajectory import Followed
 from fleetpose.pose_server.geometry.structure import Structure
 from fleetpose.pose_server.pose_graph.types import Edge, EdgeKey
 from fleetpose.protocol.errors import FleetPoseError
@@ -21,7 +22,8 @@ from fleetpose.protocol.messages import ViewName
 
 Floats = npt.NDArray[np.floating]
 Key = tuple[str, str, int]
-_SCHEMA = 2
+_SCHEMA = 3
+_UPPER = np.triu_indices(6)
 _TABLES = (
     # view: encoded protocol.messages.View; in the order in which they became keyframes
     """CREATE TABLE keyframes (
@@ -41,6 +43,14 @@ _TABLES = (
     """CREATE TABLE gauge (
         robot TEXT NOT NULL, epoch TEXT NOT NULL, seq INTEGER NOT NULL
     ) STRICT""",
+    # where views hang: little-endian float64, the upper rows of T_keyframe_view as 12, the upper
+    # triangle of its covariance as 21
+    """CREATE TABLE IF NOT EXISTS followed (
+        robot TEXT NOT NULL, epoch TEXT NOT NULL, seq INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
+        keyframe_epoch TEXT NOT NULL, keyframe_seq INTEGER NOT NULL,
+        verdict TEXT NOT NULL, way BLOB NOT NULL,
+        PRIMARY KEY (robot, epoch, seq)
+    ) STRICT""",
 )
 
 
@@ -56,11 +66,13 @@ class Graph:
         keyframes: encoded views, in the order in which they became keyframes.
         edges: links between them.
         gauge: the keyframe that is the fleet's origin.
+        followed: where views hang on keyframes of their robot, the oldest first.
     """
 
     keyframes: Mapping[ViewName, bytes] = field(default_factory=dict)
     edges: Mapping[EdgeKey, Edge] = field(default_factory=dict)
     gauge: ViewName | None = None
+    followed: Mapping[ViewName, Followed] = field(default_factory=dict)
 
 
 class GraphStore:
@@ -99,9 +111,21 @@ class GraphStore:
         ]
         lost = [_edge_key(key) for key in before.edges if key not in after.edges]
         put = [_edge_row(e) for key, e in after.edges.items() if before.edges.get(key) is not e]
+        left = [_key(view) for view in before.followed if view not in after.followed]
+        hung = [
+            _followed_row(one)
+            for view, one in after.followed.items()
+            if before.followed.get(view) is not one
+        ]
         try:
             with self._db:
                 self._db.execute("BEGIN IMMEDIATE")
+                self._db.executemany(
+                    "DELETE FROM followed WHERE (robot, epoch, seq) = (?, ?, ?)", left
+                )
+                self._db.executemany(
+                    f"INSERT OR REPLACE INTO followed VALUES ({', '.join('?' * 8)})", hung
+                )
                 self._db.executemany(
                     "DELETE FROM keyframes WHERE (robot, epoch, seq) = (?, ?, ?)", gone
                 )
@@ -141,17 +165,21 @@ class GraphStore:
                 for table in _TABLES:
                     self._db.execute(table)
                 self._db.execute(f"PRAGMA user_version = {_SCHEMA}")
-        elif version == 1:
-            self._from_first_schema()
+        elif version in (1, 2):
+            self._from_schema(version)
         elif version != _SCHEMA:
             raise GraphStoreError(f"{self.path} has schema {version}, need {_SCHEMA}")
 
-    def _from_first_schema(self) -> None:
-        """Edges of which nothing is known but their verdict are worth what it stands for (-1)."""
+    def _from_schema(self, version: int) -> None:
+        """Edges of which nothing is known but their verdict are worth what it stands for (-1); of
+        views that are no keyframes nothing was kept.
+        """
         with self._db:
             self._db.execute("BEGIN IMMEDIATE")
-            self._db.execute("ALTER TABLE edges ADD COLUMN p_grave REAL NOT NULL DEFAULT -1")
-            self._db.execute("ALTER TABLE edges ADD COLUMN structure BLOB")
+            if version == 1:
+                self._db.execute("ALTER TABLE edges ADD COLUMN p_grave REAL NOT NULL DEFAULT -1")
+                self._db.execute("ALTER TABLE edges ADD COLUMN structure BLOB")
+            self._db.execute(_TABLES[-1])
             self._db.execute(f"PRAGMA user_version = {_SCHEMA}")
 
 
@@ -172,7 +200,8 @@ def read_graph(path: Path) -> Graph:
 
 def _read(db: sqlite3.Connection, path: Path) -> Graph:
     try:
-        if db.execute("PRAGMA user_version").fetchone() == (0,):
+        (version,) = db.execute("PRAGMA user_version").fetchone()
+        if version == 0:
             return Graph()  # just made
         keyframes = {
             ViewName(robot=robot, epoch=epoch, seq=seq): encoded
@@ -180,11 +209,13 @@ def _read(db: sqlite3.Connection, path: Path) -> Graph:
         }
         edges = [_edge(row) for row in db.execute("SELECT * FROM edges ORDER BY rowid")]
         gauge = db.execute("SELECT * FROM gauge").fetchone()
+        rows = db.execute("SELECT * FROM followed ORDER BY rowid") if version >= _SCHEMA else ()
+        followed = {one.view: one for one in map(_followed, rows) if one.keyframe in keyframes}
     except (sqlite3.Error, ValueError) as error:
         raise GraphStoreError(f"{path}: {error}") from error
     whole = {e.key: e for e in edges if e.a in keyframes and e.b in keyframes}
     origin = None if gauge is None else _view(gauge)
-    return Graph(keyframes, whole, origin if origin in keyframes else None)
+    return Graph(keyframes, whole, origin if origin in keyframes else None, followed)
 
 
 def _key(view: ViewName) -> Key:
@@ -207,6 +238,21 @@ def _edge_row(edge: Edge) -> tuple[Any, ...]:
         parts = np.vstack((edge.structure.centre, edge.structure.spread))
         rests = np.ascontiguousarray(parts, "<f8").tobytes()
     return (*_edge_key(edge.key), edge.verdict, *flags, *arrays, edge.p_grave, rests)
+
+
+def _followed_row(one: Followed) -> tuple[Any, ...]:
+    numbers = np.concatenate((one.T_keyframe_view[:3].ravel(), one.covariance[_UPPER]))
+    way = np.ascontiguousarray(numbers, "<f8").tobytes()
+    return (*_key(one.view), one.stamp_ns, *_key(one.keyframe)[1:], one.verdict, way)
+
+
+def _followed(row: tuple[Any, ...]) -> Followed:
+    numbers = np.frombuffer(row[7], "<f8")
+    T, upper = np.eye(4), np.zeros((6, 6))
+    T[:3], upper[_UPPER] = numbers[:12].reshape(3, 4), numbers[12:]
+    covariance = upper + np.triu(upper, 1).T
+    keyframe = _view((row[0], *row[4:6]))
+    return Followed(_view(row[:3]), row[3], keyframe, T, covariance, row[6])
 
 
 def _edge(row: tuple[Any, ...]) -> Edge:

@@ -82,7 +82,13 @@ def graph_of(site: Site) -> Graph:
     """What a site knows now; views are shared, not copied."""
     views = (site.views.get(keyframe) for keyframe in site.keyframes())
     keyframes = {view.name: view.payload for view in views if view is not None}
-    return Graph(keyframes, dict(site.edges), site.gauge)
+    followed = {
+        view: one
+        for robot in site.robots.values()
+        for view, one in robot.track.trajectory.views.items()
+        if one.keyframe in keyframes
+    }
+    return Graph(keyframes, dict(site.edges), site.gauge, followed)
 
 
 def stored_graph(path: Path) -> Graph:

@@ -2,12 +2,16 @@
 
 import logging
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TypedDict, Unpack
 
+import numpy as np
+
 from fleetpose.pose_server.correspondences.journal import Journal
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore
+from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose
+from fleetpose.pose_server.frontend.trajectory import Followed
 from fleetpose.pose_server.geometry.methods import IcpMethod
 from fleetpose.pose_server.persistence.graph_store import Graph
 from fleetpose.pose_server.pose_graph.types import Edge
@@ -61,7 +65,7 @@ def restored_site(
     now_s = time.monotonic()
     encoded = {**graph.keyframes, **{stored.name: stored.encoded for stored in journal.views()}}
     views = [view for name, data in encoded.items() if (view := _opened(name, data, now_s))]
-    restore(site, views, graph.edges.values(), graph.gauge)
+    restore(site, views, graph.edges.values(), graph.gauge, graph.followed)
     return site
 
 
@@ -70,15 +74,27 @@ def restore(
     keyframes: Sequence[KeptView],
     edges: Iterable[Edge] = (),
     gauge: ViewName | None = None,
+    followed: Mapping[ViewName, Followed] = {},
 ) -> None:
-    """Keyframes and their links are there again, and so are the views that were clicked in; all
-    pairs that were clicked in are due.
+    """Keyframes and their links are there again, and so are the views that were clicked in, which
+    hang where they hung; all pairs that were clicked in are due.
     """
+    known = {view.name for view in keyframes}
     for view in keyframes:
         robot = site.robot(view.name.robot)
         site.views.keep(view)
+        here = _hung(followed.get(view.name), known)
+        if here is not None:
+            robot.track.recall_at(here)
+            continue
         robot.track.recall(view.name)
         pair_queue.note_keyframe(site, view.name)
+    by_robot: dict[str, dict[ViewName, Followed]] = {}
+    for view, one in followed.items():
+        if one.keyframe in known:
+            by_robot.setdefault(view.robot, {})[view] = one
+    for robot_name, own in by_robot.items():
+        site.robot(robot_name).track.trajectory.recall(own)
     for edge in edges:
         known = edge.a in site.views and edge.b in site.views
         if known and (not edge.operator or _is_confirmed(site, edge)):
@@ -90,6 +106,17 @@ def restore(
         site.pair(*pair).make_due("clicks")
     if keyframes:
         site.want_solution()
+
+
+def _hung(one: Followed | None, known: Collection[ViewName]) -> KeyframeRelativePose | None:
+    """Where a view hangs on another one that is known as well."""
+    if one is None or one.keyframe == one.view or one.keyframe not in known:
+        return None
+    if not np.isfinite(one.covariance).all():
+        return None
+    return KeyframeRelativePose(
+        one.view, one.keyframe, one.T_keyframe_view, one.covariance, one.verdict
+    )
 
 
 def folder_files(state_dir: Path) -> tuple[Path, Path]:

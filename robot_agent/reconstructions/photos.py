@@ -1,72 +1,27 @@
 """Photos as the files of all kinds tell of them, made into views."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
 
 import cv2
 import numpy as np
 
+from fleetpose.formats.reconstructions.photos import Model, Photo, all_finite
+from fleetpose.formats.rotations import is_rotation
 from fleetpose.protocol.errors import DataFolderError
-from fleetpose.robot_agent.reconstructions.model import (
-    Floats,
-    Indices,
-    ReconstructedView,
-    Reconstruction,
-)
+from fleetpose.robot_agent.reconstructions.model import Floats, ReconstructedView, Reconstruction
 
 _MOST_STEPS, _UNDISTORTED_TO = 50, 1e-10  # of OpenCV's iteration; of the focal length
 
 
-@dataclass(frozen=True, eq=False)
-class Photo:
-    """One photo as a file tells of it; its camera has OpenCV axes.
-
-    Attributes:
-        name: what the file calls its image, which may be a path.
-        focal_px: (2,) along x and y; a photo that was not registered has none above 0.
-        distortion: OpenCV's vector (4,) or (8,).
-        T_camera_world: (4, 4).
-        seen: (N,) which points it saw.
-        at: (N, 2) where, px of the image as it is, from the principal point, y down.
-        centre: (2,) the principal point, px; the middle of the image if none.
-        size: width and height, px, if the file tells them.
-    """
-
-    name: str
-    focal_px: Floats
-    distortion: Floats
-    T_camera_world: Floats
-    seen: Indices
-    at: Floats
-    centre: Floats | None = None
-    size: tuple[int, int] | None = None
-
-    @property
-    def bare_name(self) -> str:
-        """Without folders; the file may come from another machine, of another system."""
-        return PureWindowsPath(self.name).name
-
-    def is_called(self, name: str | None) -> bool:
-        """Whether it goes by that name, with or without folders and ending; all do by none."""
-        return name in (None, self.name, self.bare_name, Path(self.bare_name).stem)
-
-
 def reconstruction_of(
-    source: Path,
-    photos: Sequence[Photo],
-    points: Floats,
-    colours: Floats,
-    places: Sequence[Path],
-    only: str | None,
+    source: Path, model: Model, places: Sequence[Path], only: str | None
 ) -> Reconstruction:
     """What a file tells, as views whose images are there.
 
     Args:
         source: the file.
-        photos: all that it tells of.
-        points: (P, 3).
-        colours: (P, 3), 0 to 255.
+        model: what it says.
         places: folders that images may lie in, the likeliest first.
         only: name of the one image to take; all if not given.
 
@@ -74,11 +29,11 @@ def reconstruction_of(
         DataFolderError: no photo is registered, an image is missing or of another size, or numbers
             are not what they should be; the text names it.
     """
-    if not (np.isfinite(points).all() and all(_is_finite(photo) for photo in photos)):
+    if not all_finite(model):
         raise DataFolderError(f"{source} holds numbers that are not finite")
     chosen = [
         photo
-        for photo in photos
+        for photo in model.photos
         if (photo.focal_px > 0).all() and len(photo.seen) and photo.is_called(only)
     ]
     if not chosen:
@@ -87,29 +42,11 @@ def reconstruction_of(
     views = tuple(_view(source, photo, places) for photo in chosen)
     if len({view.image for view in views}) < len(views):
         raise DataFolderError(f"{source}: several of its photos have the same image file")
-    return Reconstruction(views, points, np.clip(colours, 0, 255).astype(np.uint8))
-
-
-def pose_of(quat_wxyz: Floats, t: Floats) -> Floats:
-    """(4, 4) the pose of a rotation, (4,) of any length, and a translation; a quaternion of zeros,
-    which is no rotation, becomes a matrix of zeros, which is none either.
-    """
-    w, v = quat_wxyz[0], quat_wxyz[1:]
-    turn = (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * np.cross(np.eye(3), v)
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = turn / (quat_wxyz @ quat_wxyz or 1.0), t
-    return T
-
-
-def _is_finite(photo: Photo) -> bool:
-    centre = np.zeros(2) if photo.centre is None else photo.centre
-    numbers = (photo.focal_px, photo.distortion, photo.T_camera_world, photo.at, centre)
-    return all(np.isfinite(one).all() for one in numbers)
+    return Reconstruction(views, model.points, np.clip(model.colours, 0, 255).astype(np.uint8))
 
 
 def _view(source: Path, photo: Photo, places: Sequence[Path]) -> ReconstructedView:
-    R = photo.T_camera_world[:3, :3]
-    if not np.allclose(R @ R.T, np.eye(3), atol=1e-3) or np.linalg.det(R) < 0:
+    if not is_rotation(photo.T_camera_world[:3, :3]):
         raise DataFolderError(f"{source}: the camera of {photo.name} has no rotation")
     name, image = _found(source, photo, places)
     width, height = image_size(image)

@@ -1,14 +1,59 @@
 """Which reconstruction a path holds, and reading it."""
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+from fleetpose.formats.arrays import FormatError
+from fleetpose.formats.reconstructions import bundler, colmap, nvm
+from fleetpose.formats.reconstructions.photos import Model
 from fleetpose.protocol.errors import DataFolderError
-from fleetpose.robot_agent.reconstructions.bundler import find_bundler, read_bundler
-from fleetpose.robot_agent.reconstructions.colmap import find_colmap, read_colmap
 from fleetpose.robot_agent.reconstructions.model import Reconstruction
-from fleetpose.robot_agent.reconstructions.nvm import find_nvm, read_nvm
+from fleetpose.robot_agent.reconstructions.photos import reconstruction_of
 
-_READERS = ((find_colmap, read_colmap), (find_bundler, read_bundler), (find_nvm, read_nvm))
+_BUNDLE = "bundle.out"
+_MODEL_FOLDERS = ("", "sparse/0", "sparse", "dense/sparse")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What one program leaves: its files in a folder, what they say, and where images may lie."""
+
+    find: Callable[[Path], list[Path]]
+    read: Callable[[Path], Model]
+    image_folders: Callable[[Path], Sequence[Path]]
+
+
+def find_colmap(path: Path) -> list[Path]:
+    """The file of cameras of the first model in a folder; the path itself if it is such a file."""
+    if path.name in colmap.CAMERA_FILES and path.is_file():
+        return [path]
+    files = (path / folder / name for folder in _MODEL_FOLDERS for name in colmap.CAMERA_FILES)
+    return [file for file in files if file.is_file()][:1]
+
+
+def find_bundler(path: Path) -> list[Path]:
+    """The results in a folder, else those one folder below, as Bundler leaves them; the path itself
+    if it is a bundle file.
+    """
+    if path.suffix.lower() == ".out" and path.is_file():
+        return [path]
+    here = path / _BUNDLE
+    return [here] if here.is_file() else sorted(path.glob(f"*/{_BUNDLE}"))
+
+
+def find_nvm(path: Path) -> list[Path]:
+    """The results in a folder, or the path itself if it is one."""
+    if path.suffix.lower() == ".nvm" and path.is_file():
+        return [path]
+    return sorted(path.glob("*.nvm"))
+
+
+_KINDS = (
+    Kind(find_colmap, colmap.read_colmap, colmap.image_folders),
+    Kind(find_bundler, bundler.read_bundler, bundler.image_folders),
+    Kind(find_nvm, nvm.read_nvm, nvm.image_folders),
+)
 
 
 def find_reconstruction(path: Path) -> Path | None:
@@ -17,7 +62,7 @@ def find_reconstruction(path: Path) -> Path | None:
     Raises:
         DataFolderError: there are several.
     """
-    found = [file for find, _ in _READERS for file in find(path)]
+    found = [file for kind in _KINDS for file in kind.find(path)]
     if len(found) > 1:
         raise DataFolderError(
             f"{path} holds several reconstructions: name one, {' or '.join(map(str, found))}"
@@ -41,5 +86,10 @@ def read_reconstruction(path: Path, only: str | None = None) -> Reconstruction:
             f"{path} holds no reconstruction: neither cameras.bin or cameras.txt (COLMAP), nor "
             "bundle.out (Bundler), nor an .nvm file (VisualSfM)"
         )
-    read = next(read for find, read in _READERS if find(file))
-    return read(file, only)
+    kind = next(kind for kind in _KINDS if kind.find(file))
+    try:
+        model = kind.read(file)
+    except FormatError as error:
+        raise DataFolderError(str(error)) from error
+    source = file.parent if file.name in colmap.CAMERA_FILES else file
+    return reconstruction_of(source, model, kind.image_folders(file), only)

@@ -24,7 +24,7 @@ from fleetpose.pose_server.mapping.merging import (
     usual_voxel_m,
 )
 from fleetpose.pose_server.mapping.picture import draw
-from fleetpose.pose_server.mapping.ply import write_ply
+from fleetpose.pose_server.mapping.ply import write_map
 from fleetpose.pose_server.mapping.projection import Projection, aslant, from_above
 from fleetpose.pose_server.mapping.raster import dots
 from fleetpose.pose_server.mapping.scene import MapCamera, MapLink, Scene, image_corners
@@ -184,7 +184,7 @@ def test_a_map_is_read_by_others(tmp_path):
         pytest.skip("Open3D needs libraries of the system that are not here")
     rng = np.random.default_rng(1)
     made = a_map(rng.uniform(-5, 5, (40, 3)), rng.integers(0, 2, 40))
-    write_ply(tmp_path / "map.ply", made)
+    write_map(tmp_path / "map.ply", made)
     read = open3d().io.read_point_cloud(str(tmp_path / "map.ply"))
     assert np.allclose(np.asarray(read.points), made.points, atol=1e-6)
     assert np.allclose(255 * np.asarray(read.colors), robot_colours(2)[made.robot], atol=0.5)
@@ -198,7 +198,7 @@ def a_map(points: np.ndarray, robot: np.ndarray) -> FleetMap:
 def test_the_file_says_whose_each_point_is(tmp_path):
     rng = np.random.default_rng(1)
     made = a_map(rng.uniform(-5, 5, (40, 3)), rng.integers(0, 3, 40))
-    write_ply(tmp_path / "map.ply", made)
+    write_map(tmp_path / "map.ply", made)
     header, vertices = read_ply(tmp_path / "map.ply")
     assert names_in(header) == ["r1", "r2", "r3"] and "property ushort robot" in header
     assert np.array_equal(vertices["robot"], made.robot)

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fleetpose.evaluation.bench.clicks.worker import kept
 from fleetpose.evaluation.bench.pairs.worker import of_wide, widen
 from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.pose_server import pipeline
@@ -16,6 +15,7 @@ from fleetpose.pose_server.scheduling import affine_retries
 from fleetpose.pose_server.scheduling.pair_queue import compare_some
 from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.pose_server.state.site import Site
+from fleetpose.pose_server.state.views import open_view
 from fleetpose.pose_server.workers.jobs import Done, Job
 from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.errors import FleetPoseError
@@ -40,9 +40,9 @@ class _InMemory:
 
 
 class OfflineServer:
-    """The server of a still fleet of which each robot has sent one view.
+    """The server of a fleet; of a still one each robot has sent one view.
 
-    Time stands still, so that nobody grows old while jobs are done one by one.
+    Time stands still while jobs are done one by one, so that nobody grows old by them.
 
     Args:
         wires: what the robots sent, by index of their views; what they would send of these when
@@ -64,12 +64,25 @@ class OfflineServer:
         self._now_s = 0.0
         self._wires: dict[ViewName, Path] = {}
         for index, wire in wires.items():
-            view = kept(wire)
-            self.names[index] = view.name.robot
-            self._wires[view.name] = wire
-            pipeline.receive_token(self.site, view.name.robot, view.name.epoch, True)
-            pipeline.receive_view(self.site, view)
+            self.names[index] = self.receive(wire).robot
         self.views = {name: index for index, name in self.names.items()}
+
+    def receive(self, wire: Path, now_s: float = 0.0) -> ViewName:
+        """Takes what a robot sent, at a time; older views go as they do in a live server. Returns
+        the view's name.
+        """
+        view = open_view(wire.read_bytes(), None, now_s)
+        self._now_s = now_s
+        self._wires[view.name] = wire
+        if view.name.robot not in self.site.robots:
+            pipeline.receive_token(self.site, view.name.robot, view.name.epoch, True)
+        pipeline.receive_view(self.site, view)
+        dropped = self.site.views.prune(now_s, self.site.held())
+        for robot in self.site.robots.values():
+            robot.track.forget({name for name in dropped if name.robot == robot.name})
+        for name in dropped:
+            self._wires.pop(name, None)
+        return view.name
 
     def settle(self, most_jobs: int) -> bool:
         """Aligns and solves by the server's own order of work until nothing is left to align;

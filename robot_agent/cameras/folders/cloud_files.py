@@ -14,18 +14,12 @@ from zipfile import BadZipFile
 import numpy as np
 import numpy.typing as npt
 
+from fleetpose.formats.ply import MOST_POINTS, read_ply
 from fleetpose.protocol.errors import DataFolderError
 
 Floats = npt.NDArray[np.float64]
 
 ENDINGS = (".ply", ".pcd", ".npz", ".npy")
-MOST_POINTS = 20_000_000  # a file that claims more is damaged
-_PLY_TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
-    "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
-    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
-}  # fmt: skip
-_PLY_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 _NAMES = ("xyz", "points", "xyz_cam", "cloud", "arr_0")  # of an npz's points, the first that is
 
 
@@ -61,38 +55,9 @@ def _read_numpy(path: Path) -> Floats:
 
 
 def _read_ply(path: Path) -> Floats:
-    content = path.read_bytes()
-    head, end, body = content.partition(b"end_header")
-    if not content.startswith(b"ply") or not end:
-        raise ValueError("no PLY header")
-    body = body[body.find(b"\n") + 1 :]
-    lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
-    form = next((line[1] for line in lines if line[:1] == ["format"]), "none")
-    count, fields = _ply_vertices(lines)
-    names = [name for name, _ in fields]
-    _check_names(names)
-    if form == "ascii":
-        return _columns(body, count, len(fields))[:, [names.index(axis) for axis in "xyz"]]
-    if form not in _PLY_ORDERS:
-        raise ValueError(f"format '{form}' is none of PLY's")
-    dtype = np.dtype([(name, _PLY_ORDERS[form] + kind) for name, kind in fields])
-    return _fields(body, dtype, count)
-
-
-def _ply_vertices(lines: list[list[str]]) -> tuple[int, list[tuple[str, str]]]:
-    """How many vertices, and their properties with types; vertices must come first."""
-    first = next((k for k, line in enumerate(lines) if line[:1] == ["element"]), None)
-    if first is None or lines[first][1:2] != ["vertex"] or len(lines[first]) != 3:
-        raise ValueError("its first element is not 'vertex'")
-    fields = []
-    for line in lines[first + 1 :]:
-        if line[:1] == ["element"]:
-            break
-        if line[:1] == ["property"]:
-            if len(line) != 3 or line[1] not in _PLY_TYPES:
-                raise ValueError(f"property {' '.join(line[1:])} of a vertex is not supported")
-            fields.append((line[2], _PLY_TYPES[line[1]]))
-    return _count(lines[first][2]), fields
+    vertices = read_ply(path).vertices
+    _check_names(list(vertices.dtype.names or ()))
+    return np.column_stack([vertices[axis] for axis in "xyz"]).astype(np.float64)
 
 
 def _read_pcd(path: Path) -> Floats:

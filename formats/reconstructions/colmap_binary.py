@@ -1,22 +1,24 @@
 """COLMAP's binary files: little-endian, a count of records, then the records.
 
 Raises:
-    DataFolderError: a file is missing or cut off.
+    FormatError: a file is missing or cut off.
 """
 
 import struct
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from fleetpose.protocol.errors import DataFolderError
-from fleetpose.robot_agent.reconstructions.colmap_records import (
+from fleetpose.formats.arrays import Floats, FormatError
+from fleetpose.formats.reconstructions.colmap_records import (
     CAMERA_MODELS,
     ColmapCamera,
     ColmapImage,
     ColmapPoints,
+    Track,
     check_model,
 )
 
@@ -47,7 +49,7 @@ class _Bytes:
         try:
             self._bytes = path.read_bytes()
         except OSError as error:
-            raise DataFolderError(f"{path} cannot be read: {error}") from error
+            raise FormatError(f"{path} cannot be read: {error}") from error
 
     def numbers(self, form: str) -> tuple[Any, ...]:
         """The next numbers, as `struct` calls them."""
@@ -70,8 +72,8 @@ class _Bytes:
             raise self._cut_off()
         return self._bytes[start : self._at]
 
-    def _cut_off(self) -> DataFolderError:
-        return DataFolderError(f"{self.path} is cut off: it has {len(self._bytes)} bytes")
+    def _cut_off(self) -> FormatError:
+        return FormatError(f"{self.path} is cut off: it has {len(self._bytes)} bytes")
 
 
 def read_cameras(path: Path) -> dict[int, ColmapCamera]:
@@ -111,3 +113,40 @@ def read_points(path: Path) -> ColmapPoints:
     numbers = np.array([row[1:] for row in rows], np.float64).reshape(-1, 6)
     ids = np.array([row[0] for row in rows], np.int64)
     return ColmapPoints(ids, numbers[:, :3], numbers[:, 3:])
+
+
+def write_cameras(path: Path, cameras: Mapping[int, ColmapCamera]) -> None:
+    """Writes cameras by their ids."""
+    parts = [struct.pack("<Q", len(cameras))]
+    for number, camera in cameras.items():
+        parts.append(struct.pack("<iiQQ", number, _MODELS.index(camera.model), *camera.size))
+        parts.append(np.ascontiguousarray(camera.parameters, "<f8").tobytes())
+    path.write_bytes(b"".join(parts))
+
+
+def write_images(path: Path, images: Sequence[ColmapImage]) -> None:
+    """Writes images, numbered from 1 in their order."""
+    parts = [struct.pack("<Q", len(images))]
+    for number, image in enumerate(images, 1):
+        keypoints = np.empty(len(image.points), _KEYPOINT)
+        keypoints["at"], keypoints["point"] = image.at, image.points
+        parts += [
+            struct.pack("<i7di", number, *image.pose, image.camera),
+            image.name.encode() + b"\0",
+            struct.pack("<Q", len(keypoints)),
+            keypoints.tobytes(),
+        ]
+    path.write_bytes(b"".join(parts))
+
+
+def write_points(
+    path: Path, points: ColmapPoints, errors_px: Floats, tracks: Sequence[Track]
+) -> None:
+    """Writes points with their reprojection errors and the images and keypoints that saw each."""
+    parts = [struct.pack("<Q", len(points.ids))]
+    rows = zip(points.ids.tolist(), points.xyz, points.colours, errors_px, tracks, strict=True)
+    for number, xyz, colour, error, track in rows:
+        colours = (int(c) for c in colour)
+        parts.append(struct.pack("<q3d3BdQ", number, *xyz, *colours, error, len(track)))
+        parts.append(np.array(list(track), _TRACK).tobytes())
+    path.write_bytes(b"".join(parts))

@@ -1,10 +1,13 @@
 """What COLMAP's files hold, whether text or binary."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fleetpose.protocol.errors import DataFolderError
-from fleetpose.robot_agent.reconstructions.model import Floats, Indices
+from fleetpose.formats.arrays import Floats, FormatError, Indices
+
+Track = Sequence[tuple[int, int]]
+"""Of a point: the id of each image that saw it, and which of its keypoints that was."""
 
 CAMERA_MODELS = {
     "SIMPLE_PINHOLE": (1, 0),
@@ -57,10 +60,10 @@ def check_model(path: Path, model: str) -> None:
     """Refuses a camera model that OpenCV does not have.
 
     Raises:
-        DataFolderError: always then; it says what to do.
+        FormatError: always then; it says what to do.
     """
     if model not in CAMERA_MODELS:
-        raise DataFolderError(
+        raise FormatError(
             f"{path}: images of the camera model {model} cannot be undistorted here: run `colmap "
             f"image_undistorter` and give the folder that it writes"
         )

@@ -1,0 +1,1 @@
+"""Benchmarks that others publish: their folders as fleets, and what papers report of them."""

@@ -1,0 +1,132 @@
+"""`pose-eval bench`: a published benchmark, played by its sequences as robots."""
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fleetpose.evaluation.bench.published.layouts import BAGS, LAYOUTS, open_sequence
+from fleetpose.evaluation.bench.published.papers import REPORTED
+from fleetpose.evaluation.bench.published.play import Played, play
+from fleetpose.evaluation.bench.published.sequences import RecordedSequence
+from fleetpose.evaluation.metrics.trajectory_error import Positions, trajectory_error
+from fleetpose.evaluation.options.published import BenchOptions
+from fleetpose.evaluation.report.output import output_folder, print_table, scalars, write_summary
+from fleetpose.formats.tum import write_tum
+from fleetpose.protocol.errors import DataFolderError
+
+
+def run(options: BenchOptions, out: Path) -> dict[str, Any]:
+    """Plays the sequences, scores the fleet, writes the results; returns the summary.
+
+    Raises:
+        FleetPoseError: the data cannot be used.
+    """
+    robots = robots_of(options)
+    output_folder(out)
+    with tempfile.TemporaryDirectory(prefix="fleetpose-") as scratch:
+        played = play(robots, Path(scratch))
+    summary = summary_of(options, robots, played)
+    _write_trajectories(robots, played, out / "tum")
+    write_summary(out, summary)
+    _print(options, summary)
+    return summary
+
+
+def robots_of(options: BenchOptions) -> list[RecordedSequence]:
+    """The sequences that robots walk along.
+
+    Raises:
+        DataFolderError: the layout is not known, or the data is not laid out so.
+    """
+    if options.layout in BAGS:
+        raise DataFolderError(
+            f"--layout {options.layout} comes as ROS bags, which bench does not read: unpack its "
+            "images into one of the folders that it does, " + ", ".join(LAYOUTS)
+        )
+    if options.layout not in LAYOUTS:
+        raise DataFolderError(f"--layout {options.layout}: known are {', '.join(LAYOUTS)}")
+    names = [name for name in options.robots.split(",") if name]
+    step = options.every or LAYOUTS[options.layout].every
+    robots: list[RecordedSequence] = []
+    for name in names:
+        sequence = open_sequence(options.layout, options.data, name).every(step, options.frames)
+        robots += sequence.split(options.split) if options.split > 1 else [sequence]
+    if len({robot.name for robot in robots}) < len(robots) or not robots:
+        raise DataFolderError(f"--robots {options.robots}: name sequences, each once")
+    return robots
+
+
+def positions_of(robots: Sequence[RecordedSequence], played: Played) -> dict[str, Positions]:
+    """True and estimated positions of the robots in the fleet's own frame."""
+    shots = {robot.name: robot.shots for robot in robots}
+    found: dict[str, tuple[list[Any], list[Any]]] = {}
+    for one in played.estimates:
+        true = shots[one.robot][one.shot].T_world_camera
+        if one.component == played.anchors and true is not None:
+            both = found.setdefault(one.robot, ([], []))
+            both[0].append(true[:3, 3])
+            both[1].append(one.T_fleet_camera[:3, 3])
+    return {robot: (np.array(true), np.array(est)) for robot, (true, est) in found.items()}
+
+
+def summary_of(
+    options: BenchOptions, robots: Sequence[RecordedSequence], played: Played
+) -> dict[str, Any]:
+    """What `summary.json` holds."""
+    positions = positions_of(robots, played)
+    error = trajectory_error(positions)
+    frames = sum(len(robot.shots) for robot in robots)
+    return {
+        "layout": options.layout,
+        "robots": len(robots),
+        "robots_joined": len(positions),
+        "frames": frames,
+        "frames_placed": sum(len(true) for true, _ in positions.values()),
+        "frames_refused": played.refused,
+        "keyframes": played.keyframes,
+        "alignments": played.jobs,
+        "ate_joint_m": error.joint_m,
+        "ate_robots_mean_m": error.robots_mean_m,
+        "ate_robots_m": error.robots_m,
+        "published": [vars(one) for one in REPORTED[options.layout]],
+    }
+
+
+def _write_trajectories(robots: Sequence[RecordedSequence], played: Played, folder: Path) -> None:
+    """Estimates and truth of each robot, for `evo_ape tum TRUTH ESTIMATE -a`."""
+    shots = {robot.name: robot.shots for robot in robots}
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, own in shots.items():
+        there = [
+            one
+            for one in played.estimates
+            if one.robot == name
+            and one.component == played.anchors
+            and own[one.shot].T_world_camera is not None
+        ]
+        stamps_ns = np.array([own[one.shot].stamp_ns for one in there], np.int64)
+        poses = np.array([one.T_fleet_camera for one in there]).reshape(-1, 4, 4)
+        truth = np.array([own[one.shot].T_world_camera for one in there]).reshape(-1, 4, 4)
+        write_tum(folder / f"{name}.tum", stamps_ns, poses)
+        write_tum(folder / f"{name}_truth.tum", stamps_ns, truth)
+
+
+def _print(options: BenchOptions, summary: dict[str, Any]) -> None:
+    rows = [*scalars(summary)]
+    rows += [(f"ate of {name}", value) for name, value in summary["ate_robots_m"].items()]
+    print_table(f"{options.layout}: {options.robots}", ("", ""), rows)
+    if summary["published"]:
+        columns = ("sequences", "method", "ate_m", "sensor", "source")
+        print_table(
+            "what others report (*: second-hand, check it before you quote it)",
+            columns,
+            [
+                (*(one[name] for name in columns[:-1]), one["source"] + " *" * one["second_hand"])
+                for one in summary["published"]
+            ],
+        )
+    else:
+        print("no figures of fleets on this data set are known")

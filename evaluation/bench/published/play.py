@@ -1,0 +1,119 @@
+"""Robots that walk along recorded sequences, in step, and the server that follows them: offline, by
+its own jobs in its own order, so that a run tells the same each time.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import zip_longest
+from pathlib import Path
+
+import numpy as np
+
+from fleetpose.evaluation.bench.offline.server import OfflineServer
+from fleetpose.evaluation.bench.published.sequences import RecordedSequence
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.evaluation.report.output import progress_bar
+from fleetpose.pose_server.persistence.placed import placed_views
+from fleetpose.protocol.codec import pack
+from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.messages import ViewName
+from fleetpose.robot_agent.cameras.base import Frame
+from fleetpose.robot_agent.cameras.factory import open_camera
+from fleetpose.robot_agent.features.keypoints import salient_of
+from fleetpose.robot_agent.features.packing import view_of
+from fleetpose.robot_agent.recent_views import kept_view
+
+EPOCH = "0" * 12
+STEP_S = 1.0  # of the server's clock between two views of a robot
+_JOBS_PER_ROBOT = 12  # in a step: more than a view asks for unless pairs go round in circles
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Where the fleet puts one frame of a robot.
+
+    Attributes:
+        shot: its number in the robot's sequence.
+        component: in whose frame.
+        T_fleet_camera: (4, 4).
+    """
+
+    robot: str
+    shot: int
+    component: str
+    T_fleet_camera: Floats
+
+
+@dataclass(frozen=True)
+class Played:
+    """What became of a run.
+
+    Attributes:
+        anchors: name of the fleet's own component, empty where nobody is there.
+        refused: views in which the server found nothing to use.
+    """
+
+    estimates: tuple[Estimate, ...]
+    anchors: str
+    keyframes: int
+    jobs: int
+    refused: int
+
+
+def play(robots: Sequence[RecordedSequence], scratch: Path) -> Played:
+    """Lets all robots walk to their ends.
+
+    Args:
+        scratch: an empty folder for what robots get and send.
+
+    Raises:
+        FleetPoseError: a camera cannot be read.
+    """
+    server, refused = OfflineServer({}), 0
+    walks = [_walk(robot, scratch / "robots" / robot.name) for robot in robots]
+    wires = scratch / "wires"
+    wires.mkdir(parents=True)
+    with progress_bar() as bar:
+        task = bar.add_task("steps", total=max(len(robot.shots) for robot in robots))
+        for step, frames in enumerate(zip_longest(*walks)):
+            for robot, frame in zip(robots, frames, strict=True):
+                if frame is not None and not _sent(server, robot, step, frame, wires):
+                    refused += 1
+            server.settle(_JOBS_PER_ROBOT * len(robots))
+            bar.advance(task)
+    return _played(server, refused)
+
+
+def _walk(robot: RecordedSequence, folder: Path) -> Iterator[Frame]:
+    camera = open_camera(robot.camera, str(robot.stripped(folder)), "once")
+    try:
+        for shot, frame in zip(robot.shots, camera.frames(), strict=False):
+            yield replace(frame, stamp_ns=shot.stamp_ns)
+    finally:
+        camera.close()
+
+
+def _sent(
+    server: OfflineServer, robot: RecordedSequence, step: int, frame: Frame, wires: Path
+) -> bool:
+    """Does an agent's work for a frame and hands it over; whether the server could use it."""
+    name = ViewName(robot=robot.name, epoch=EPOCH, seq=step)
+    view = view_of(name, frame, salient_of(frame))
+    wire = wires / f"{robot.name}_{step}.view"
+    wire.write_bytes(pack(view))
+    wire.with_suffix(".kept").write_bytes(pack(kept_view(view, frame.image)))
+    try:
+        server.receive(wire, step * STEP_S)
+    except CodecError:
+        return False
+    return True
+
+
+def _played(server: OfflineServer, refused: int) -> Played:
+    site = server.site
+    estimates = tuple(
+        Estimate(view.robot, view.seq, one.component, np.asarray(one.T_fleet_camera, np.float64))
+        for view, one in placed_views(site).items()
+    )
+    anchors = "" if site.gauge is None else site.component_name(site.gauge)
+    return Played(estimates, anchors, len(site.keyframes()), server.jobs, refused)

@@ -1,0 +1,100 @@
+"""A recorded sequence with its truth, and the folders that its robots get: links to some of its
+images, and no truth.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from fleetpose.evaluation.metrics.geometry import Floats
+from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.cameras.kinds import CameraKind
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One frame of a sequence.
+
+    Attributes:
+        files: its images, below the sequence's folder.
+        stamp_ns: as the data set has it.
+        T_world_camera: (4, 4) the truth; none where the data set tells none.
+    """
+
+    files: tuple[Path, ...]
+    stamp_ns: int
+    T_world_camera: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedSequence:
+    """What one robot saw.
+
+    Attributes:
+        name: of the robot.
+        folder: of the sequence.
+        camera: the kind of camera that reads it.
+        linked: files that the camera needs beside the images, by where they are to lie.
+        written: the same, of texts that the data set comes without.
+        lists: files that list the images of each frame, in the order of its files: TUM's.
+    """
+
+    name: str
+    folder: Path
+    camera: CameraKind
+    shots: tuple[Shot, ...]
+    linked: Mapping[str, Path] = field(default_factory=dict)
+    written: Mapping[str, str] = field(default_factory=dict)
+    lists: tuple[str, ...] = ()
+
+    def every(self, step: int, most: int | None = None) -> "RecordedSequence":
+        """Each so-manieth frame, the first ones."""
+        return self._with(self.name, self.shots[::step][:most])
+
+    def split(self, parts: int) -> list["RecordedSequence"]:
+        """As many robots, one after the other along the way.
+
+        Raises:
+            DataFolderError: there are fewer frames.
+        """
+        if len(self.shots) < parts:
+            raise DataFolderError(
+                f"{self.folder} has {len(self.shots)} frames for {parts} robots: give a smaller "
+                "--split, or a smaller --every"
+            )
+        cuts = np.linspace(0, len(self.shots), parts + 1).round().astype(int)
+        return [
+            self._with(f"{self.name}-{k}", self.shots[a:b])
+            for k, (a, b) in enumerate(pairwise(cuts))
+        ]
+
+    def stripped(self, folder: Path) -> Path:
+        """Makes the folder that the robot gets."""
+        folder.mkdir(parents=True)
+        for shot in self.shots:
+            for file in shot.files:
+                _link(folder / file.relative_to(self.folder), file)
+        for name, file in self.linked.items():
+            _link(folder / name, file)
+        for name, text in self.written.items():
+            (folder / name).write_text(text)
+        for k, name in enumerate(self.lists):
+            rows = (
+                f"{shot.stamp_ns / 1e9:.9f} {shot.files[k].relative_to(self.folder)}\n"
+                for shot in self.shots
+            )
+            (folder / name).write_text("".join(rows))
+        return folder
+
+    def _with(self, name: str, shots: Sequence[Shot]) -> "RecordedSequence":
+        more = (self.linked, self.written, self.lists)
+        return RecordedSequence(name, self.folder, self.camera, tuple(shots), *more)
+
+
+def _link(place: Path, file: Path) -> None:
+    place.parent.mkdir(parents=True, exist_ok=True)
+    if not place.exists():
+        place.symlink_to(file.absolute())
