@@ -22,6 +22,8 @@ MODULES = {  # that an extra brings, as they are imported; Open3D is done withou
     "cluster": ("distributed",),
     "metrics": ("prometheus_client",),
     "hmi": ("cv2", "textual", "rich", "mcap"),
+    "record": ("mcap", "foxglove_schemas_protobuf", "mcap_protobuf"),
+    "rerun": ("rerun",),
     "deploy": ("cryptography",),
     "eval": ("psutil", "DracoPy"),
 }
