@@ -67,6 +67,40 @@ def record(
     print(f"{recorder.recorder.report()}: {ended}; {ended.cost}")
 
 
+@app.command()
+def show(
+    file: Annotated[Path, typer.Argument(help="A recording of `pose-server record`.")],
+    foxglove: Annotated[Path | None, typer.Option(help="MCAP file to write, for Foxglove.")] = None,
+    rrd: Annotated[
+        Path | None, typer.Option(help="File to write, for Rerun (extra `rerun`).")
+    ] = None,
+) -> None:
+    """Makes a file for Foxglove or for Rerun of a recorded site: where the robots are and what they
+    see, their images, and the links between them, coloured by verdict.
+
+    The frames are `fleet`, `<robot>` (its body) and `<robot>/camera`; a robot that is not located
+    has none. Clouds are thinned to 20 000 points. Open the file with `foxglove` or `rerun`.
+    """
+    from fleetpose.pose_server.recording.show import show as show_in
+    from fleetpose.protocol.recording.file import Recording, RecordingError
+
+    if rrd is not None:  # where it is not installed, nothing is written
+        import rerun  # noqa: F401
+    if foxglove is None and rrd is None:
+        raise RecordingError("say what to write: --foxglove FILE.mcap or --rrd FILE.rrd")
+    recording = Recording(file)
+    if recording.cut_off:
+        print(f"{file} was cut off after {recording.seconds:.1f} s", file=sys.stderr)
+    if foxglove is not None:
+        from fleetpose.pose_server.recording.foxglove import FoxgloveFile
+
+        print(f"{foxglove}: {show_in(recording, FoxgloveFile(foxglove))}")
+    if rrd is not None:
+        from fleetpose.pose_server.recording.rerun import RerunFile
+
+        print(f"{rrd}: {show_in(recording, RerunFile(rrd))}")
+
+
 def _link(
     connect: list[str], config: Path | None, timeout_s: float, stop: "threading.Event"
 ) -> "Link":
