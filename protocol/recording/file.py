@@ -32,7 +32,8 @@ NAME = "fleetpose-session"
 HERE, GONE = b"here", b"gone"  # of a token
 _CHUNK_BYTES = 1 << 20
 _FLUSH_S = 1.0  # of which a kill may cost the file
-_WAITING = 2000  # samples on their way to the disk; more are left out and counted
+_PAUSE_S = 0.2  # in which samples gather: each time the thread wakes up costs as much as a sample
+_WAITING = 5000  # samples on their way to the disk; more are left out and counted
 _WAITING_BYTES = 256 * 1024 * 1024
 _MAX_RECORD_BYTES = 4 * MAX_MESSAGE_BYTES
 
@@ -90,7 +91,9 @@ class Recorder:
         self.failure: str | None = None
         self.cpu_s = 0.0
         self._path = path
-        self._queue: Queue[tuple[int, Way, Sample] | None] = Queue(_WAITING)
+        self._queue: Queue[tuple[int, Way, Sample]] = Queue(_WAITING)
+        self._ended = threading.Event()
+        self._flush_s = time.monotonic()
         self._waiting_bytes, self._counting = 0, threading.Lock()
         self._channels: dict[tuple[str, Way, bool], int] = {}
         self._start_ns = time.time_ns() - time.monotonic_ns()  # a clock that is set moves nothing
@@ -115,9 +118,8 @@ class Recorder:
 
     def close(self) -> None:
         """Writes what waits and ends the file."""
-        if self._thread.is_alive():
-            self._queue.put(None)
-            self._thread.join()
+        self._ended.set()
+        self._thread.join()
 
     def report(self) -> str:
         """What became of the file, in a sentence."""
@@ -166,35 +168,39 @@ class Recorder:
         self.cpu_s = time.thread_time()
 
     def _write_all(self) -> None:
-        """Writes until told to end; what is older than a second has left this process."""
-        flush_s = time.monotonic() + _FLUSH_S
-        while True:
-            try:
-                item = self._queue.get(timeout=max(flush_s - time.monotonic(), 0.0))
-                if item is None:
-                    return
+        """Writes until told to end."""
+        ended = False
+        while not ended:
+            ended = self._ended.wait(_PAUSE_S)  # what came before the end is in the queue
+            while (item := self._next()) is not None:
                 self._write(*item)
-            except Empty:
-                pass
-            if time.monotonic() >= flush_s:
-                self._writer.flush()
-                self.cpu_s = time.thread_time()
-                flush_s = time.monotonic() + _FLUSH_S
+                self._flush_if_due()
+            self._flush_if_due()
+
+    def _flush_if_due(self) -> None:
+        """What is older than a second has left this process."""
+        if time.monotonic() >= self._flush_s:
+            self._writer.flush()
+            self.cpu_s = time.thread_time()
+            self._flush_s = time.monotonic() + _FLUSH_S - _PAUSE_S
+
+    def _next(self) -> tuple[int, Way, Sample] | None:
+        try:
+            item = self._queue.get_nowait()
+        except Empty:
+            return None
+        self._release(len(item[2].payload))
+        return item
 
     def _forget(self) -> None:
         """Takes what comes until the end and writes none of it."""
-        while True:
-            try:
-                item = self._queue.get(timeout=1.0)
-            except Empty:
-                continue
-            if item is None:
-                return
-            self._release(len(item[2].payload))
-            self.left_out += 1
+        ended = False
+        while not ended:
+            ended = self._ended.wait(_PAUSE_S)
+            while self._next() is not None:
+                self.left_out += 1
 
     def _write(self, at_ns: int, way: Way, sample: Sample) -> None:
-        self._release(len(sample.payload))
         for attached, payload in ((True, sample.attachment), (False, sample.payload)):
             if payload is not None:
                 channel = self._channel(sample, way, attached)
