@@ -82,21 +82,21 @@ def show(
     has none. Clouds are thinned to 20 000 points. Open the file with `foxglove` or `rerun`.
     """
     from fleetpose.pose_server.recording.show import show as show_in
+    from fleetpose.protocol.commands import require
     from fleetpose.protocol.recording.file import Recording, RecordingError
 
-    if rrd is not None:  # where it is not installed, nothing is written
-        import rerun  # noqa: F401
     if foxglove is None and rrd is None:
         raise RecordingError("say what to write: --foxglove FILE.mcap or --rrd FILE.rrd")
+    require("record" + ",rerun" * (rrd is not None))  # else nothing is written at all
     recording = Recording(file)
     if recording.cut_off:
         print(f"{file} was cut off after {recording.seconds:.1f} s", file=sys.stderr)
     if foxglove is not None:
-        from fleetpose.pose_server.recording.foxglove import FoxgloveFile
+        from fleetpose.pose_server.recording.foxglove_file import FoxgloveFile
 
         print(f"{foxglove}: {show_in(recording, FoxgloveFile(foxglove))}")
     if rrd is not None:
-        from fleetpose.pose_server.recording.rerun import RerunFile
+        from fleetpose.pose_server.recording.rerun_file import RerunFile
 
         print(f"{rrd}: {show_in(recording, RerunFile(rrd))}")
 
