@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from fleetpose.pose_server.recording import commands as recording
 from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.protocol.commands import Version, require, run_command
 from fleetpose.protocol.settings import DumpSettings, SettingsFile, with_options
@@ -21,6 +22,8 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
+
+app.add_typer(recording.app)
 
 
 @app.callback()

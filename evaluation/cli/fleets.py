@@ -1,5 +1,8 @@
 """Commands about whole fleets, without a network."""
 
+from pathlib import Path
+from typing import Annotated
+
 import typer
 
 from fleetpose.evaluation.options.building import of
@@ -125,3 +128,30 @@ def questions(options: QuestionsOptions, out: Out) -> None:
     from fleetpose.evaluation.bench.questions.command import run
 
     run(options, out)
+
+
+@app.command()
+def replay(
+    file: Annotated[Path, typer.Argument(help="A recording of 'pose-server record'.")],
+    out: Out,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Alignments at once; if not told, as recorded.")
+    ] = None,
+    job_ms: Annotated[
+        float | None,
+        typer.Option(
+            min=1.0, help="How long one takes by the recording's clock; else as recorded."
+        ),
+    ] = None,
+) -> None:
+    """Drive what a recorded site's server had heard, in order of arrival, through the server's own
+    pipeline: in one process, without a network, by the recording's clock. Two replays give the same
+    bytes, so that a recording is a bug report that anybody can run.
+
+    Jobs take as long as the recorded server's did, whatever they take here. Says how far the poses
+    are from those in the recording. Writes poses.csv, a TUM trajectory for each robot and
+    summary.json. Wide keypoints, which a server asks robots for, are in no recording.
+    """
+    from fleetpose.evaluation.bench.replay.command import run, sentence
+
+    print(sentence(run(file, out, workers, job_ms)))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fleetpose.hmi_client.network.client import Client
     from fleetpose.hmi_client.network.shared import SharedLink
     from fleetpose.hmi_client.network.update_log import UpdateLog
-    from fleetpose.hmi_client.recording.file import Recorder
+    from fleetpose.protocol.recording.file import Recorder
     from fleetpose.protocol.transport import Link
 
 SERVER_TIMEOUT_S = 5.0

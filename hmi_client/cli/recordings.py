@@ -56,8 +56,8 @@ def replay(
     It follows what the operator looked at and did. You may look around; nothing can be changed.
     """
     if as_list or not (sys.stdin.isatty() and sys.stdout.isatty()):
-        from fleetpose.hmi_client.recording.file import Recording
         from fleetpose.hmi_client.recording.timeline import timeline
+        from fleetpose.protocol.recording.file import Recording
 
         for line in timeline(Recording(file)):
             typer.echo(line)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from fleetpose.hmi_client.recording.file import Recorder
+from fleetpose.protocol.recording.file import Recorder
 from fleetpose.protocol.transport import Link, Publisher, Sample
 
 

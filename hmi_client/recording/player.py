@@ -17,12 +17,12 @@ from fleetpose.hmi_client.model.onlooker import Onlooker
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.network.intake import Intake
 from fleetpose.hmi_client.network.message_decoder import checked_picture
-from fleetpose.hmi_client.recording.file import Record, Recording
 from fleetpose.protocol.codec import encoding_of, unpack
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import ImageHeader, KeptView, OperatorUpdate, Selection
 from fleetpose.protocol.messages.base import Message
+from fleetpose.protocol.recording.file import Record, Recording
 from fleetpose.protocol.transport import Sample
 
 M = TypeVar("M", bound=Message)
@@ -55,6 +55,11 @@ class PlayedSession(Onlooker):
     def __init__(
         self, recording: Recording, clock: Callable[[], float], threshold_m: float | None = None
     ) -> None:
+        if not recording.operator:
+            raise OperatorError(
+                f"{recording.path} is of a whole site, not of an operator's session: see "
+                "'pose-eval replay' and 'pose-server show'"
+            )
         first = next(_sent(recording, OperatorUpdate), None)
         told = next(_sent(recording, Selection), None)
         epoch = told.session if told is not None else None
@@ -150,7 +155,7 @@ class Player:
         """Plays to the end, or until told to stop.
 
         Raises:
-            OperatorError: the file cannot be read any more.
+            RecordingError: the file cannot be read any more.
         """
         stop = stop or threading.Event()
         self._clock.set(0.0, paused=False)

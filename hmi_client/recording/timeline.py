@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator
 
-from fleetpose.hmi_client.recording.file import Record, Recording
 from fleetpose.protocol.codec import encoding_of, unpack
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.messages import Alignment, FleetState, OperatorUpdate, Receipts, Selection
+from fleetpose.protocol.recording.file import Record, Recording
 from fleetpose.protocol.text import one_line
 
 

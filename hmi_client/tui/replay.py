@@ -7,7 +7,6 @@ from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.strip import Strip
 
-from fleetpose.hmi_client.recording.file import Recording
 from fleetpose.hmi_client.recording.player import PlayClock, PlayedSession, Player
 from fleetpose.hmi_client.tui.app import FleetApp
 from fleetpose.hmi_client.tui.bindings import KeyMap
@@ -16,6 +15,7 @@ from fleetpose.hmi_client.tui.drawing.palette import style
 from fleetpose.hmi_client.tui.panels.panel import PanelMixin, line
 from fleetpose.hmi_client.tui.run import keymap_of, own_screen
 from fleetpose.hmi_client.tui.terminal.driver import PatientDriver
+from fleetpose.protocol.recording.file import Recording
 
 SKIP_S = 10.0
 
@@ -107,7 +107,7 @@ def run_replay(
     """Plays a recording on the screen until q.
 
     Raises:
-        OperatorError: the file cannot be read, or is no recording.
+        FleetPoseError: the file cannot be read, or is no recording of a session.
     """
     palette.use(palette.theme_for(theme))
     recording, clock = Recording(path), PlayClock(speed)

@@ -17,13 +17,13 @@ from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.network.client import Client
 from fleetpose.hmi_client.network.shared import SharedLink
 from fleetpose.hmi_client.network.update_log import UpdateLog
-from fleetpose.hmi_client.recording.file import Recorder
 from fleetpose.hmi_client.tui.app import FleetApp
 from fleetpose.hmi_client.tui.bindings import KeyMap
 from fleetpose.hmi_client.tui.drawing import palette
 from fleetpose.hmi_client.tui.terminal.driver import PatientDriver
 from fleetpose.protocol.keys import checked_name
 from fleetpose.protocol.logs import log_to_file
+from fleetpose.protocol.recording.file import Recorder
 
 log = logging.getLogger(__name__)
 _M_ARENA_MAX = -8  # of glibc's malloc.h
@@ -52,7 +52,7 @@ def run_screen(
         record: a file that all messages of the first site are recorded in.
 
     Raises:
-        OperatorError: the log or the recording cannot be written, or the keys are not right.
+        FleetPoseError: the log or the recording cannot be written, or the keys are not right.
     """
     palette.use(palette.theme_for(theme))
     keymap = keymap_of(keys)
@@ -61,7 +61,7 @@ def run_screen(
         closing.enter_context(own_screen(log))
         recorder = None
         if record is not None:
-            recorder = Recorder(record, sites[0].site, sites[0].operator)
+            recorder = Recorder(record, sites[0].site, sites[0].operator, "hmi-client")
             closing.callback(recorder.close)
         shared = SharedLink(lambda: sites[0].open_link(RETRY_TIMEOUT_S))
         clients = {

@@ -12,11 +12,11 @@ from fleetpose.hmi_client.cli.commands import app
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.network.client import Client
-from fleetpose.hmi_client.recording.file import Recorder, Recording
 from fleetpose.hmi_client.recording.link import RecordedLink
 from fleetpose.hmi_client.recording.player import PlayClock, PlayedSession, Player
 from fleetpose.hmi_client.recording.timeline import timeline
 from fleetpose.protocol.keys import Keys
+from fleetpose.protocol.recording.file import Recorder, Recording, RecordingError
 from fleetpose.protocol.transport import Link, Sample, SessionSettings, open_session, wait_until
 
 PAIR = ("r1", "r2")
@@ -98,7 +98,7 @@ def test_a_recording_that_is_cut_off_plays_to_its_end(recorded, tmp_path):
         cut.write_bytes(whole[: int(len(whole) * share)])
         try:
             recording = Recording(cut)
-        except OperatorError:  # too short to say whose it is
+        except RecordingError:  # too short to say whose it is
             continue
         lengths.append(sum(1 for _ in recording))
         played(cut)
@@ -142,13 +142,13 @@ def test_samples_come_out_as_they_went_in(tmp_path):
 def test_what_cannot_be_recorded_or_played_is_said(tmp_path):
     path = tmp_path / "a.mcap"
     path.write_bytes(b"something else")
-    with pytest.raises(OperatorError, match="is there already"):
+    with pytest.raises(RecordingError, match="is there already"):
         Recorder(path, "demo", "anna")
-    with pytest.raises(OperatorError, match="is no recording"):
+    with pytest.raises(RecordingError, match="is no recording"):
         Recording(path)
-    with pytest.raises(OperatorError, match="cannot be read"):
+    with pytest.raises(RecordingError, match="cannot be read"):
         Recording(tmp_path / "none.mcap")
-    with pytest.raises(OperatorError, match="cannot be written"):
+    with pytest.raises(RecordingError, match="cannot be written"):
         Recorder(tmp_path / "no" / "folder.mcap", "demo", "anna")
 
 
