@@ -6,8 +6,10 @@ python -m fleetpose.ros_bridge.node --robot r1=/r1 --connect tcp/SERVER:7447
 import importlib
 import logging
 import queue
+import sys
 import time
 from functools import cache
+from importlib.util import find_spec
 from typing import Any
 
 import typer
@@ -33,12 +35,10 @@ class RclpyTopics:
     """
 
     def __init__(self, wanted: Wanted, drops: Drops) -> None:
-        import rclpy  # it comes with ROS, not by pip
-
-        self._rclpy = rclpy
-        if not rclpy.ok():
-            rclpy.init()
-        self._node = rclpy.create_node("fleetpose")
+        self._rclpy = importlib.import_module("rclpy")
+        if not self._rclpy.ok():
+            self._rclpy.init()
+        self._node = self._rclpy.create_node("fleetpose")
         self._wanted = wanted
         self._waiting: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._read: dict[str, Any] = {}
@@ -109,6 +109,8 @@ def node(*, settings: SettingsFile = None, **given: Any) -> None:
 
 def main() -> None:
     """Runs the node; what a user can mend is one sentence and exit code 2."""
+    if find_spec("rclpy") is None:  # it comes with ROS, not by pip
+        sys.exit("rclpy is not here: source the setup.bash of ROS 2, or use 'pose-ros bridge'")
     run_command(app, "pose-ros-node", "ros")
 
 

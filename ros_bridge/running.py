@@ -4,6 +4,7 @@ import signal
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 
 from fleetpose.protocol.drops import Drops
 from fleetpose.protocol.errors import EndedError
@@ -14,10 +15,10 @@ from fleetpose.ros_bridge.settings import BridgeSettings
 from fleetpose.ros_bridge.topics import Topics, Wanted
 from fleetpose.ros_bridge.zenoh_topics import ZenohTopics
 
+ByTopics = Callable[[Wanted, Drops], Topics]
 
-def run_bridge(
-    settings: BridgeSettings, topics: Callable[[Wanted, Drops], Topics] | None = None
-) -> None:
+
+def run_bridge(settings: BridgeSettings, topics: ByTopics | None = None) -> None:
     """Waits for the routers, then bridges.
 
     Args:
@@ -28,21 +29,18 @@ def run_bridge(
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     with ExitStack() as opened:
-
-        def link(session: SessionSettings) -> Link:
-            made = Link(open_session(session))
-            opened.callback(made.close)
-            return made
-
         try:
-            fleet = link(settings.of_fleet(stop))
+            fleet = _link(settings.of_fleet(stop), opened)
             if topics is None:
                 other = settings.of_ros(stop)
-                ros = fleet if other is None else link(other)
-
-                def topics(wanted: Wanted, drops: Drops) -> Topics:
-                    return ZenohTopics(ros, settings.domain, wanted, drops)
-
+                ros = fleet if other is None else _link(other, opened)
+                topics = partial(ZenohTopics, ros, settings.domain)
         except EndedError:
             return
         Bridge(settings, fleet, topics).run(stop)
+
+
+def _link(settings: SessionSettings, opened: ExitStack) -> Link:
+    link = Link(open_session(settings))
+    opened.callback(link.close)
+    return link
