@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from queue import Empty, Full, Queue
+from queue import Full, Queue
 from typing import IO, Literal
 
 from mcap.exceptions import InvalidMagic, McapError
@@ -31,9 +31,8 @@ WAYS: tuple[Way, ...] = ("in", "answer", "out", "token")
 NAME = "fleetpose-session"
 HERE, GONE = b"here", b"gone"  # of a token
 _CHUNK_BYTES = 1 << 20
-_FLUSH_S = 1.0  # of which a kill may cost the file
-_PAUSE_S = 0.2  # in which samples gather: each time the thread wakes up costs as much as a sample
-_WAITING = 5000  # samples on their way to the disk; more are left out and counted
+_PAUSE_S = 0.8  # a kill may cost the file a second; to wake up costs as much as several samples
+_WAITING = 50_000  # samples on their way to the disk; more are left out and counted
 _WAITING_BYTES = 256 * 1024 * 1024
 _MAX_RECORD_BYTES = 4 * MAX_MESSAGE_BYTES
 
@@ -93,7 +92,6 @@ class Recorder:
         self._path = path
         self._queue: Queue[tuple[int, Way, Sample]] = Queue(_WAITING)
         self._ended = threading.Event()
-        self._flush_s = time.monotonic()
         self._waiting_bytes, self._counting = 0, threading.Lock()
         self._channels: dict[tuple[str, Way, bool], int] = {}
         self._start_ns = time.time_ns() - time.monotonic_ns()  # a clock that is set moves nothing
@@ -168,37 +166,28 @@ class Recorder:
         self.cpu_s = time.thread_time()
 
     def _write_all(self) -> None:
-        """Writes until told to end."""
+        """Writes until told to end; what is older than a second has left this process."""
         ended = False
         while not ended:
-            ended = self._ended.wait(_PAUSE_S)  # what came before the end is in the queue
-            while (item := self._next()) is not None:
-                self._write(*item)
-                self._flush_if_due()
-            self._flush_if_due()
-
-    def _flush_if_due(self) -> None:
-        """What is older than a second has left this process."""
-        if time.monotonic() >= self._flush_s:
+            ended = self._ended.wait(_PAUSE_S)
+            for at_ns, way, sample in self._waiting():
+                self._write(at_ns, way, sample)
             self._writer.flush()
             self.cpu_s = time.thread_time()
-            self._flush_s = time.monotonic() + _FLUSH_S - _PAUSE_S
-
-    def _next(self) -> tuple[int, Way, Sample] | None:
-        try:
-            item = self._queue.get_nowait()
-        except Empty:
-            return None
-        self._release(len(item[2].payload))
-        return item
 
     def _forget(self) -> None:
         """Takes what comes until the end and writes none of it."""
         ended = False
         while not ended:
             ended = self._ended.wait(_PAUSE_S)
-            while self._next() is not None:
-                self.left_out += 1
+            self.left_out += sum(1 for _ in self._waiting())
+
+    def _waiting(self) -> Iterator[tuple[int, Way, Sample]]:
+        """What waits now, and not what comes meanwhile, which may never end."""
+        for _ in range(self._queue.qsize()):
+            item = self._queue.get_nowait()
+            self._release(len(item[2].payload))
+            yield item
 
     def _write(self, at_ns: int, way: Way, sample: Sample) -> None:
         for attached, payload in ((True, sample.attachment), (False, sample.payload)):
