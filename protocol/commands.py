@@ -20,11 +20,11 @@ MODULES = {  # that an extra brings, as they are imported; Open3D is done withou
         *("threadpoolctl", "numba", "matplotlib"),
     ),
     "cluster": ("distributed",),
-    "ros": ("rosbags", "mcap", "xxhash"),
     "metrics": ("prometheus_client",),
     "record": ("mcap", "foxglove_schemas_protobuf", "mcap_protobuf"),
     "hmi": ("cv2", "textual", "rich", "mcap"),
     "rerun": ("rerun",),
+    "ros": ("rosbags", "mcap", "xxhash"),
     "deploy": ("cryptography",),
     "eval": ("psutil", "DracoPy"),
 }

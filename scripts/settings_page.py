@@ -17,6 +17,8 @@ from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.protocol.settings import ProcessSettings
 from fleetpose.robot_agent.__main__ import app as robot_app
 from fleetpose.robot_agent.settings import RobotSettings
+from fleetpose.ros_bridge.__main__ import app as ros_app
+from fleetpose.ros_bridge.settings import BridgeSettings
 
 HEAD = """# Settings
 
@@ -40,11 +42,13 @@ _BOUNDS = {"gt": "above {}", "ge": "at least {}", "lt": "below {}", "le": "at mo
 def page() -> str:
     """The page, as it should stand in docs/settings.md."""
     robot, server = typer.main.get_command(robot_app), typer.main.get_command(server_app)
+    ros = typer.main.get_command(ros_app)
     parts = [
         HEAD,
         *_section("robot-agent run", RobotSettings, robot.commands["run"]),  # type: ignore[attr-defined]
         *_section("pose-server run", ServerSettings, server.commands["run"]),  # type: ignore[attr-defined]
         *_section("hmi-client", ClientSettings, typer.main.get_command(hmi_app)),
+        *_section("pose-ros bridge", BridgeSettings, ros.commands["bridge"]),  # type: ignore[attr-defined]
     ]
     return "\n\n".join(parts) + "\n"
 

@@ -38,6 +38,7 @@ APPS = {
     "hmi-client": "hmi_client.cli.commands",
     "pose-eval": "evaluation.__main__",
     "pose-deploy": "deploy.__main__",
+    "pose-ros": "ros_bridge.__main__",
 }
 MOST_WORDS, MOST_LINES = 800, 90
 FOLDERS = (
