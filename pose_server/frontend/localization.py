@@ -307,20 +307,19 @@ def _drop_keyframe(site: Site, robot: Robot) -> None:
 def _hang_elsewhere(site: Site, robot: Robot, keyframe: ViewName) -> None:
     """What hung on a keyframe that goes hangs on the nearest one that stays."""
     near = [
-        (moved(T, site.views[keyframe].median_depth_m), other)
+        (moved(T, site.views[keyframe].median_depth_m), other, T)
         for other in robot.track.keyframes
         if other != keyframe and (T := site.relative(other, keyframe)) is not None
     ]
     if not near:
         robot.track.trajectory.forget(keyframe)
         return
-    _, other = min(near, key=lambda one: one[0])
-    assert site.solution is not None
-    found = site.solution.relative(other, keyframe)
-    assert found is not None
-    unknown = np.full((6, 6), np.nan)
-    covariance = unknown if found.covariance is None else found.covariance
-    robot.track.trajectory.rehang(keyframe, other, found.T_a_b, covariance)
+    _, other, T = min(near, key=lambda one: one[0])
+    uncertainty = None if site.solution is None else site.solution.uncertainty
+    covariance = None if uncertainty is None else uncertainty.relative(other, keyframe)
+    if covariance is None:
+        covariance = np.full((6, 6), np.nan)
+    robot.track.trajectory.rehang(keyframe, other, T, covariance)
 
 
 def _spare(site: Site, robot: Robot) -> list[ViewName]:

@@ -183,7 +183,9 @@ class Uncertainty:
         return left_covariance(self.poses[k], marginals.marginalCovariance(k)), ""
 
     def relative(self, a: ViewName, b: ViewName) -> Floats | None:
-        """Covariance (6, 6) of T_a_b of two nodes of one component, or None."""
+        """Covariance (6, 6) of T_a_b of two nodes of one component, or None: one may be newer."""
+        if a not in self.number or b not in self.number:
+            return None
         k, m = self.number[a], self.number[b]
         marginals = self.marginals.get(self.component[k], "not asked for")
         if isinstance(marginals, str) or k == m:
