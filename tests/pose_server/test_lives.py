@@ -231,13 +231,13 @@ def test_clicks_have_a_worker_of_their_own_and_a_flood_of_them_takes_none_from_t
     for n, point in enumerate(points, 1):
         pipeline.receive_update(site, click(n, point, T_true))
     for seq in range(1, 4):
-        site.pair("r1", "r2").status = PairStatus(due="clicks")
+        site.pair("r1", "r2")._turn_to(PairStatus(due="clicks"))
         site.robots["r1"].waiting, site.robots["r1"].tracking = named(seq, "r1"), None
         site.views.keep(kept(both[0].model_copy(update={"name": named(seq, "r1")})))
         urgent, other = pipeline.urgent_job(site), pipeline.next_job(site, 0.0)
         assert urgent is not None and (urgent.kind, urgent.urgent) == ("clicks", True)
         assert other is not None and (other.kind, other.urgent) == ("track", False)
-    site.pair("r1", "r2").status = PairStatus(due="clicks")
+    site.pair("r1", "r2")._turn_to(PairStatus(due="clicks"))
     left = pipeline.next_job(site, 0.0)
     assert left is not None and left.kind == "clicks"  # where robots wait for nothing
 

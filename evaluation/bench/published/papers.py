@@ -25,6 +25,7 @@ class Reported:
     second_hand: bool = False
 
 
+NOT_TOLD = "not told"  # by the sources that were read
 _COVINS = "COVINS, ISMAR 2021, Table 1"
 _SWARM = "Swarm-SLAM, RA-L 2024, Table II"
 _DCL = "DCL-SLAM, Table II"
@@ -34,7 +35,7 @@ _ISSUE = "MultiSlam_DiffPose, issue 3"
 def _covins(method: str, *ate_m: float | None) -> tuple[Reported, ...]:
     sequences = ("MH01-03", "MH01-05", "V101-103")
     return tuple(
-        Reported(names, method, value, "mono + IMU", _COVINS)
+        Reported(names, method, value, NOT_TOLD, _COVINS)
         for names, value in zip(sequences, ate_m, strict=True)
         if value is not None
     )
@@ -46,18 +47,18 @@ REPORTED: dict[str, tuple[Reported, ...]] = {
         *_covins("ORB-SLAM3", 0.041, 0.082, 0.048),
         *_covins("VINS-mono", 0.062, 0.100, 0.076),
         *_covins("CVI-SLAM", 0.054, 0.091, None),
-        Reported("MH01-03", "CCM-SLAM", 0.077, "mono", "JFR 2019", True),
-        Reported("MH01-03", "MultiSlam", 0.022, "not told", _ISSUE),
-        Reported("MH01-05", "MultiSlam", 0.036, "not told", _ISSUE),
-        Reported("V101-103", "MultiSlam", 0.031, "not told", _ISSUE),
-        Reported("V201-203", "MultiSlam", 0.024, "not told", _ISSUE),
-        Reported("MH01-03", "MultiSlam, by a user", 0.045, "not told", _ISSUE),
-        Reported("MH01-05", "MultiSlam, by a user", 0.059, "not told", _ISSUE),
-        Reported("V101-103", "MultiSlam, by a user", 0.081, "not told", _ISSUE),
-        Reported("V201-203", "MultiSlam, by a user", 0.072, "not told", _ISSUE),
-        Reported("MH, 5 robots", "Kimera-Multi", 0.41, "stereo + IMU", "T-RO 2022, Table I", True),
-        Reported("MH, 5 robots", "PCM", 1.76, "stereo + IMU", "T-RO 2022, Table I", True),
-        Reported("MH, 5 robots", "centralised", 0.52, "stereo + IMU", "T-RO 2022, Table I", True),
+        Reported("MH01-03", "CCM-SLAM", 0.077, NOT_TOLD, "JFR 2019", True),
+        Reported("MH01-03", "MultiSlam", 0.022, NOT_TOLD, _ISSUE),
+        Reported("MH01-05", "MultiSlam", 0.036, NOT_TOLD, _ISSUE),
+        Reported("V101-103", "MultiSlam", 0.031, NOT_TOLD, _ISSUE),
+        Reported("V201-203", "MultiSlam", 0.024, NOT_TOLD, _ISSUE),
+        Reported("MH01-03", "MultiSlam, by a user", 0.045, NOT_TOLD, _ISSUE),
+        Reported("MH01-05", "MultiSlam, by a user", 0.059, NOT_TOLD, _ISSUE),
+        Reported("V101-103", "MultiSlam, by a user", 0.081, NOT_TOLD, _ISSUE),
+        Reported("V201-203", "MultiSlam, by a user", 0.072, NOT_TOLD, _ISSUE),
+        Reported("MH, 5 robots", "Kimera-Multi", 0.41, NOT_TOLD, "T-RO 2022, Table I", True),
+        Reported("MH, 5 robots", "PCM", 1.76, NOT_TOLD, "T-RO 2022, Table I", True),
+        Reported("MH, 5 robots", "centralised", 0.52, NOT_TOLD, "T-RO 2022, Table I", True),
     ),
     "kitti": (
         Reported("00, 2 robots", "Swarm-SLAM", 2.17, "lidar or stereo", _SWARM),
@@ -83,7 +84,7 @@ REPORTED: dict[str, tuple[Reported, ...]] = {
         ),
     ),
     "kimera-multi": tuple(
-        Reported("outdoor", method, value, "RGB-D or stereo", "GRAND-SLAM, RA-L 2025", True)
+        Reported("outdoor", method, value, NOT_TOLD, "GRAND-SLAM, RA-L 2025", True)
         for method, value in (("GRAND-SLAM", 4.99), ("ORB-SLAM3", 10.58), ("MAGiC-SLAM", 60.8))
     ),
     "graco": (Reported("3 robots", "Swarm-SLAM", 6.19, "lidar or stereo", _SWARM),),
