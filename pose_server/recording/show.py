@@ -83,7 +83,7 @@ class Counted:
         opening_ms, showing_ms: CPU of all views, to open what was said and to show it.
     """
 
-    views: int = 0
+    clouds: int = 0
     images: int = 0
     poses: int = 0
     damaged: int = 0
@@ -91,10 +91,10 @@ class Counted:
     showing_ms: float = 0.0
 
     def __str__(self) -> str:
-        each = max(self.views, 1)
+        each = max(self.clouds, 1)
         damaged = f", {self.damaged} messages could not be opened" if self.damaged else ""
         return (
-            f"{self.views} views, {self.images} images, {self.poses} poses{damaged}; a view: "
+            f"{self.clouds} views, {self.images} images, {self.poses} poses{damaged}; a view: "
             f"{self.opening_ms / each:.1f} ms CPU to open, {self.showing_ms / each:.1f} ms to write"
         )
 
@@ -137,7 +137,7 @@ class Show:
         robot = view.name.robot
         self._cameras[robot] = view.camera
         self._arrived_ns[view.name] = record.at_ns
-        self.count.views += 1
+        self.count.clouds += 1
         with self._showing():
             self.viewer.cloud(record.at_ns, robot, points.xyz)
 

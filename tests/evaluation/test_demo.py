@@ -59,12 +59,6 @@ def test_one_robot_is_no_fleet():
         run(1, 90.0, headless=True)
 
 
-def test_pictures_of_screen_and_map_are_made_on_the_way(tmp_path):
-    run(robots=3, seconds=90, headless=True, pictures=tmp_path)
-    assert "r3" in (tmp_path / "screen.svg").read_text()
-    assert (tmp_path / "map.png").stat().st_size > 10_000
-
-
 def processes_with(temporary: Path) -> list[int]:
     """Ids of the processes that were started with this folder for temporary files."""
     wanted = f"TMPDIR={temporary}".encode()

@@ -1,6 +1,5 @@
 """The parts of `pose-eval field`, small: how slow or fast anything is is not tested."""
 
-import csv
 from collections import Counter
 
 import pytest
@@ -27,18 +26,6 @@ def test_a_denial_names_who_did_what_with_which_key():
         ("robot/r2", "put", "k"),
     ):
         assert not names(rows, who, verb, key)
-
-
-@pytest.mark.timeout(240)
-def test_no_attack_passes_most_are_named_and_nobody_else_is(tmp_path):
-    summary = command.run(FieldOptions(attacks=True, quiet_s=4.0), tmp_path)
-    assert summary["attacks_tried"] >= 30
-    assert summary["attacks_passed"] == summary["attacks_false_alarms"] == 0
-    assert summary["attacks_named_share"] >= 0.95
-    assert summary["attacks_strangers_named"] == summary["attacks_strangers"] == 8
-    with (tmp_path / "attacks.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert {"put", "delete", "show", "answer", "listen", "ask"} == {row["verb"] for row in rows}
 
 
 @pytest.mark.timeout(240)

@@ -140,7 +140,8 @@ def _told_to_the_client(
             robots=robots,
             share=60,
         )
-        yield told(heard[keys.camera(robot)], keys.camera("stranger"), share=60)
+        # which the server reads as well
+        yield told(heard[keys.camera(robot)], keys.camera("stranger"), robots=SERVER, share=60)
     pair = next(key for key in heard if key.endswith("/alignment"))
     yield told(heard[pair], keys.alignment("r-a", "r-b"))
     sets = next(key for key in heard if "/pair/" in key and key.endswith("/correspondences"))
