@@ -4,6 +4,7 @@ import logging
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -17,6 +18,7 @@ from fleetpose.ros_bridge.fleet_tree import FLEET, MAP, Hung, RobotTree
 from fleetpose.ros_bridge.outgoing import Outgoing
 from fleetpose.ros_bridge.settings import BridgeSettings
 from fleetpose.ros_bridge.topics import ODOMETRY, POSE, TF, Message, Topics, Wanted
+from fleetpose.rosmsg.stamps import stamp_ns
 
 log = logging.getLogger("pose-ros")
 
@@ -24,6 +26,7 @@ JOIN_S = 0.1  # between two tellings of where a robot's tree hangs: tf2 looks ba
 _TAKE_S = 0.02
 _PART_S = 0.05  # after which a turn ends however much waits
 _REPORT_S = 10.0
+_KEPT = 100  # stamps of what was said in a robot's own tf: ten seconds
 
 
 class Bridge:
@@ -46,6 +49,7 @@ class Bridge:
         self._made = Outgoing(self._ros.types)
         self._joined_s = self._reported_s = 0.0
         self._told: set[str] = set()
+        self._said_ns = {name: deque[int](maxlen=_KEPT) for name in settings.map_odom}
         for name in settings.robots:
             fleet.on_latched(self._keys.pose(name), self._store)
 
@@ -62,7 +66,7 @@ class Bridge:
         return type in (TF, ODOMETRY) and self._robot_of(topic) is not None
 
     def _robot_of(self, topic: str) -> str | None:
-        """Whose namespace a topic is in; what is published here itself is nobody's."""
+        """Whose namespace a topic is in."""
         for name, namespace in self._settings.namespaces.items():
             if topic.startswith(f"{namespace}/"):
                 return name
@@ -97,11 +101,21 @@ class Bridge:
         tree = self._trees[name]
         if message.type == ODOMETRY:
             return tree.take_odometry(message.content)
+        if self._is_own(name, message):
+            return []
         if not message.topic.endswith("tf_static"):
             return tree.take_tf(message.content, static=False)
         if tree.take_tf(message.content, static=True):
             self._tell_standing()
         return []
+
+    def _is_own(self, name: str, message: Message) -> bool:
+        """Whether a robot's tf says what was said in it here: all who listen hear that too."""
+        said_ns = self._said_ns.get(name, ())
+        return any(
+            one.header.frame_id == MAP and stamp_ns(one) in said_ns
+            for one in message.content.transforms
+        )
 
     def _posed(self, pose: RobotPose) -> None:
         tree = self._trees[pose.robot]
@@ -141,6 +155,7 @@ class Bridge:
             tree.faults.add(f"{name} has no odometry that could stand in a map (--map-odom)")
             return
         made = self._made.transform(MAP, tree.root, hung.T_parent_child, hung.stamp_ns)
+        self._said_ns[name].append(hung.stamp_ns)
         topic = f"{self._settings.namespaces[name]}/tf"
         self._ros.put(topic, TF, self._made.transforms([made]))
 

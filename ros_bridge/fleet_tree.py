@@ -75,7 +75,7 @@ class RobotTree:
     @property
     def maps(self) -> bool:
         """Whether it knows a map of its own."""
-        return MAP in self._tf.parents.values()
+        return any(frame.rpartition("/")[2] == MAP for frame in self._tf.parents.values())
 
     def take_tf(self, message: Any, static: bool) -> list[Hung]:
         """Takes a `TFMessage` of the robot; what of it is to be told now, as the fleet's tree names

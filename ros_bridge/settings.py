@@ -68,6 +68,8 @@ class BridgeSettings(ProcessSettings):
         spaces = [one.partition("=")[2] for one in self.robot]
         if not names:
             raise ValueError("no robot is named: --robot r1=/r1")
+        if own := [space for space in spaces if f"{space}/".startswith("/fleet/")]:
+            raise ValueError(f"{own[0]} is where the fleet's own topics are")
         if len(set(names)) < len(names) or len(set(spaces)) < len(spaces):
             raise ValueError("a robot, or a namespace, is named twice")
         if strangers := set(self.map_odom) - set(names):
