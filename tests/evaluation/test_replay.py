@@ -10,7 +10,10 @@ from typer.testing import CliRunner
 from fleetpose.evaluation.__main__ import app
 from fleetpose.evaluation.bench.replay.command import replay, sentence
 from fleetpose.evaluation.bench.replay.compare import agreement
+from fleetpose.evaluation.bench.replay.inputs import Recorded
+from fleetpose.evaluation.bench.replay.server import ReplayServer
 from fleetpose.pose_server import pipeline
+from fleetpose.pose_server.calibration.clocks import LEAST_KEPT
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.geometry.se3 import exp_so3, inverse, make_pose
 from fleetpose.pose_server.messages.builders import Stamp, robot_pose
@@ -22,11 +25,12 @@ from fleetpose.pose_server.workers.jobs import Done
 from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.codec import encoding_of, pack
 from fleetpose.protocol.keys import Keys
-from fleetpose.protocol.messages import OperatorUpdate, RobotPose, View
-from fleetpose.protocol.recording.file import Recorder, RecordingError
+from fleetpose.protocol.messages import CameraAnnouncement, OperatorUpdate, RobotPose, View
+from fleetpose.protocol.recording.file import HERE, Record, Recorder, RecordingError
 from fleetpose.protocol.slots import Sample
 from tests.pose_server.scene import EPOCH, K, descriptors, turned, view, walls
 from tests.pose_server.test_flows import Forgetful
+from tests.protocol.message_examples import EXAMPLES
 
 KEYS = Keys("demo")
 ANGLES_DEG = {"r1": 0.0, "r2": 12.0, "r3": 24.0}
@@ -179,3 +183,22 @@ def test_what_is_no_recording_of_a_site_is_refused(site_file, tmp_path):
         pass
     with pytest.raises(RecordingError, match="an operator's session"):
         replay(session, tmp_path)
+
+
+@pytest.mark.parametrize("clock", ["live", "recorded"])
+def test_a_robot_that_played_a_recording_is_not_blamed_for_its_stamps_in_a_replay(clock):
+    server = ReplayServer(KEYS, Recorded(), lambda *told: None)
+    announced = EXAMPLES[CameraAnnouncement].model_copy(
+        update={"robot": "r1", "epoch": EPOCH, "clock": clock}
+    )
+    first = fleet()[0][0].model_copy(update={"stamp_ns": 10**15})  # a recording of another time
+    names = [first.name.model_copy(update={"seq": seq}) for seq in range(LEAST_KEPT + 1)]
+    heard = [
+        sample(KEYS.camera("r1"), announced),
+        *(sample(KEYS.cloud("r1"), first.model_copy(update={"name": name})) for name in names),
+    ]
+    token = Sample(KEYS.robot_alive("r1", EPOCH), HERE, "")
+    server.hear(Record(0.0, "token", token, at_ns=10**9))
+    for one in heard:
+        server.hear(Record(0.0, "in", one, at_ns=10**9))
+    assert [robot for robot, _ in server.site.depths.clocks.wrong()] == ["r1"] * (clock == "live")

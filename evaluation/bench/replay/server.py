@@ -15,7 +15,14 @@ import zenoh
 
 from fleetpose.evaluation.bench.replay.inputs import Recorded
 from fleetpose.pose_server import pipeline
-from fleetpose.pose_server.app.event_queue import Denied, EventQueue, Moved, Selected, TokenSeen
+from fleetpose.pose_server.app.event_queue import (
+    Announced,
+    Denied,
+    EventQueue,
+    Moved,
+    Selected,
+    TokenSeen,
+)
 from fleetpose.pose_server.app.event_queue import Updated as UpdateHeard
 from fleetpose.pose_server.app.publisher import FleetPublisher
 from fleetpose.pose_server.calibration import monitor
@@ -210,6 +217,8 @@ class ReplayServer:
                 pipeline.receive_selection(self.site, event.selection, self.clock.now_s)
             case Moved():
                 self.site.odometers.note(event.odometry)
+            case Announced():
+                monitor.note_announcement(self.site, event.announcement)
             case Denied():
                 pipeline.receive_denials(self.site, event.denials)
             case TokenSeen():
