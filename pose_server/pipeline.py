@@ -47,6 +47,7 @@ from fleetpose.protocol.keys import RobotPair, ordered_pair
 from fleetpose.protocol.messages import Denials, OperatorUpdate, Selection, ViewName
 
 _COVARIANCES_AT_ONCE = 24  # made anew in a solve
+QUIET_S = 1.0  # after a click: until then the next one may come, which features must know of
 _SHARES = {"track": 4.0, "pair": 4.0, "wide": 2.0, "search": 2.0}  # of work nobody looks at
 
 
@@ -162,12 +163,14 @@ def next_job(site: Site, now_s: float) -> Job | None:
     return None if job is None else _by_recipe(site, job)
 
 
-def take_result(site: Site, done: Done, now_s: float) -> None:
-    """Files an alignment: as a robot's own motion, or between two robots."""
+def take_result(site: Site, done: Done, now_s: float) -> bool:
+    """Files an alignment: as a robot's own motion, or between two robots; False if it says nothing
+    of a pair, because it knew less of the operator's clicks than one that has ended before.
+    """
     if isinstance(done.job, TrackJob):
         followed(site, done)
-    else:
-        _paired(site, done, now_s)
+        return True
+    return _paired(site, done, now_s)
 
 
 def solve(site: Site, now_s: float, wanted: Collection[ViewName] | None = None) -> None:
@@ -255,15 +258,17 @@ def _click_job(site: Site) -> Job | None:
             note_heard(site, (a, b), None, None)
             _unlink_operator(site, a, b)
             continue
-        record.start()
+        record.start("clicks")
         return replace(job, known=record.searched.get((job.i.name, job.j.name)), features=False)
     return None
 
 
-def _search_job(site: Site) -> Job | None:
+def _search_job(site: Site, now_s: float) -> Job | None:
     """The next pair whose clicks found nothing sure quickly: features are asked beside them."""
     for a, b in list(site.agenda.search):
         record = site.pairs[a, b]
+        if now_s < record.search_from_s:
+            continue
         record.make_due("nothing")
         if (job := _with_clicks(site, a, b)) is not None:
             record.start()
@@ -297,7 +302,7 @@ def _robots_job(site: Site, now_s: float) -> Job | None:
             case "wide":
                 job = wide_job(site)
             case "search":
-                job = _search_job(site)
+                job = _search_job(site, now_s)
             case _:
                 job = _pair_job(site, now_s)
         if job is not None:
@@ -321,34 +326,63 @@ def _known_starts(site: Site, i: ViewName, j: ViewName) -> tuple[Start, ...]:
     return () if T is None else (Start("graph", T, 0.03),)
 
 
-def _paired(site: Site, done: Done, now_s: float) -> None:
+def _paired(site: Site, done: Done, now_s: float) -> bool:
     i, j = views = done.job.views
     pair = ordered_pair(i.robot, j.robot)
     record, result = site.pair(*pair), done.result
-    record.stop(done.outcome, views, now_s)
+    by_clicks_alone = isinstance(done.job, ClickJob) and not done.job.features
+    if record.overtaken and not by_clicks_alone:
+        if result is None or result.verdict != "verified":
+            _overtaken(site, done, now_s)
+            return False
+        record.make_due("clicks")  # what is verified stands, and clicks are heard about it
+    record.stop(done.outcome, views, now_s, "clicks" if by_clicks_alone else "features")
     site.count("alignments")
     site.touch(*pair)
     note_repetition(site)
     if result is None:
         site.say(f"alignment of {i} and {j} failed: {done.error}")
-        return
+        return True
     note_depths(site, done)
     note_mirror(site, done)
     note_open(site, done)
     if isinstance(done.job, ClickJob):
-        _conclude_clicks(site, pair, done.job, result)
+        _conclude_clicks(site, pair, done.job, result, now_s)
     by_clicks = isinstance(done.job, ClickJob) and result.verdict != "verified"
     record.learn(result, views, done.job.kind, done.job.features and not by_clicks)
     _conclude_link(site, done)
     pair_queue.enqueue(site, pair, now_s)
+    return True
 
 
-def _conclude_clicks(site: Site, pair: RobotPair, job: ClickJob, result: PairResult) -> None:
+def _overtaken(site: Site, done: Done, now_s: float) -> None:
+    """Features have found nothing sure while newer clicks were aligned without them: these are
+    aligned once more with what features say, or features are asked again beside them.
+    """
+    pair = ordered_pair(done.job.i.name.robot, done.job.j.name.robot)
+    record = site.pair(*pair)
+    if isinstance(done.job, ClickJob) or done.result is None:
+        record.stop_overtaken(done.job.views, None)
+        if not record.clicks_due:
+            record.search_later(now_s + QUIET_S)
+    else:
+        record.stop_overtaken(done.job.views, done.result)
+        record.make_due("clicks")
+        note_open(site, done)
+    pair_queue.enqueue(site, pair, now_s)
+
+
+def _conclude_clicks(
+    site: Site, pair: RobotPair, job: ClickJob, result: PairResult, now_s: float
+) -> None:
     """What the images said of a pair's clicks, and whether features are to be asked beside them."""
     record = site.pair(*pair)
     if not job.features and not record.clicks_due:
         sure = pair in site.skip or result.verdict == "verified"
-        record.make_due("nothing" if sure else "search")
+        if sure:
+            record.make_due("nothing")
+        else:
+            record.search_later(now_s + QUIET_S)
     note_heard(site, pair, job.clicks, result.hearing)
     if _refuses_clicks(result):
         _unlink_operator(site, *pair)

@@ -18,10 +18,11 @@ from fleetpose.hmi_client.network.outbox import Outbox
 from fleetpose.protocol import codec
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.keys import ordered_pair
-from fleetpose.protocol.messages import OperatorUpdate, Receipts, View
+from fleetpose.protocol.messages import OperatorUpdate, Receipts, Selection, View
 from fleetpose.protocol.transport import Sample, wait_until
 
 CLICK_SIGMA_PX = 1.5
+LOOK_S = 0.25  # from seeing two images to the first click in them: a person needs longer
 REPEAT_S = 1.0
 ERRAND_POINTS = 200  # that two views have in common, for an errand to be worth while
 FINISH_S = 10.0  # that a run waits for its last clicks
@@ -215,6 +216,7 @@ class SimulatedOperator:
         self._outbox = Outbox("op-simulated")
         link, keys = observer.link, observer.keys
         self._publisher = link.latched(keys.updates(self._outbox.operator), block=True, history=10)
+        self._selection = link.latched(keys.selection(self._outbox.operator), block=True)
         self._receipts: tuple[float, Receipts] | None = None
         link.on_latched(keys.receipts(self._outbox.operator), self._note_receipts)
         self._in_flight: list[Sent] = []
@@ -268,13 +270,16 @@ class SimulatedOperator:
                 for ticket in self._outbox.open:
                     self._put(ticket.update)
                 next_repeat_s = now_s + REPEAT_S
-            if self._clicking and now_s >= next_click_s and self._click(now_s):
-                next_click_s = now_s + self._period_s
+            if self._clicking and not self._planned and now_s >= next_click_s - LOOK_S:
+                self._planned = self._plan()
+                if self._planned:
+                    self._look_at(*self._planned[-1][:2])
+                    next_click_s = max(next_click_s, time.monotonic() + LOOK_S)
+            if self._clicking and now_s >= next_click_s and self._click():
+                next_click_s = max(next_click_s, now_s) + self._period_s
 
-    def _click(self, now_s: float) -> bool:
+    def _click(self) -> bool:
         """Makes the next click; whether there was one to make."""
-        if not self._planned:
-            self._planned = self._plan()
         if not self._planned:
             return False
         i, j, click = self._planned.pop()
@@ -287,10 +292,23 @@ class SimulatedOperator:
             pixel_i=click.pixel_i,
             pixel_j=click.pixel_j,
         )
-        self._in_flight.append(Sent(ticket.update, now_s))
+        self._in_flight.append(Sent(ticket.update, time.monotonic()))
         self._put(ticket.update)
         self.clicks += 1
         return True
+
+    def _look_at(self, i: SeenView, j: SeenView) -> None:
+        """Says which two views are on the screen, as operators' clients do."""
+        outbox, (name_i, name_j) = self._outbox, (i.view.name, j.view.name)
+        selection = Selection(
+            operator=outbox.operator,
+            session=outbox.session,
+            i=name_i.robot,
+            j=name_j.robot,
+            view_i=name_i,
+            view_j=name_j,
+        )
+        self._selection.put(codec.pack(selection), codec.encoding_of(Selection))
 
     def _plan(self) -> list[tuple[SeenView, SeenView, Click]]:
         """Three clicks for the first question that has an answer, or for a pair by chance."""

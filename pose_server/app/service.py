@@ -50,7 +50,7 @@ from fleetpose.protocol.codec import pack
 from fleetpose.protocol.drops import Drops, kind_and_sender
 from fleetpose.protocol.errors import CodecError, FleetPoseError
 from fleetpose.protocol.keys import Keys, new_epoch, ordered_pair
-from fleetpose.protocol.messages import KeptView, OperatorUpdate, ViewName
+from fleetpose.protocol.messages import KeptView, OperatorUpdate, Selection, ViewName
 from fleetpose.protocol.presence import Presence
 from fleetpose.protocol.session.supervisor import Supervisor
 from fleetpose.protocol.transport import Answer, Link, Sample
@@ -114,7 +114,7 @@ class Service:
         self._solved_s = self._solve_took_s = 0.0
         self._clean_s = 0.0
         self._noted_anchor: str | None = None
-        self._unclicked = False
+        self._unclicked = self._clicks_aligned = False
         self._unanswered: dict[Session, OperatorUpdate] = {}
         self._untold: set[tuple[str, str]] = set()
         self._imaged: set[ViewName] = set()
@@ -187,10 +187,7 @@ class Service:
             case Updated():
                 self._updated(event.update)
             case Selected():
-                now_s = time.monotonic()
-                for view in pipeline.receive_selection(self.site, event.selection, now_s):
-                    if self._lives(view):
-                        self._fetcher.ask(view)
+                self._selected(event.selection)
             case Fetched():
                 self._fetched(event)
             case FetchedWide():
@@ -212,6 +209,13 @@ class Service:
                 event.answer.set_result(event.reply())
             case _:
                 pass
+
+    def _selected(self, selection: Selection) -> None:
+        before = self.site.pinned()
+        for view in pipeline.receive_selection(self.site, selection, time.monotonic()):
+            if self._lives(view):
+                self._fetcher.ask(view)
+        self._engine.prepare([self.site.encoded(v) for v in self.site.pinned() if v not in before])
 
     def _token(self, seen: TokenSeen) -> None:
         try:
@@ -276,10 +280,11 @@ class Service:
             )
         else:
             self._stages.note({"job": done.wall_ms, **done.result.timings_ms})
-        pipeline.take_result(self.site, done, time.monotonic())
+        telling = pipeline.take_result(self.site, done, time.monotonic())
+        self._clicks_aligned |= done.job.urgent
         self._ask_for_wide_sets()
         i, j = done.job.i.name, done.job.j.name
-        if i.robot != j.robot:
+        if telling and i.robot != j.robot:
             result = done.outcome
             self._publisher.alignment(i, j, result)
             found = (result.verdict, result.start, result.inliers, "; ".join(result.reasons))
@@ -343,6 +348,8 @@ class Service:
             try:
                 view = open_view(pack(kept.view), None, time.monotonic())
                 pipeline.receive_fetched(self.site, view)
+                if fetched.name in self.site.pinned():
+                    self._engine.prepare([self.site.encoded(fetched.name)])
             except CodecError as error:
                 refused = str(error)
         for update in self._pending.answered(fetched.name, refused):
@@ -361,8 +368,10 @@ class Service:
             return
         pause = min(self._solve_took_s * (1 / _SOLVE_SHARE - 1), _LONGEST_PAUSE_S)
         clicks_on_their_way = self._engine.running_urgent and now < self._clean_s + _CLICKS_S
-        if now < self._solved_s + pause or clicks_on_their_way:
+        pausing = now < self._solved_s + pause and not self._clicks_aligned
+        if pausing or clicks_on_their_way:
             return
+        self._clicks_aligned = False
         with self._stages.timed("solve"):
             pipeline.solve(self.site, now)
         if pipeline.note_components(self.site) or self.site.anchor != self._noted_anchor:

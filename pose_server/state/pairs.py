@@ -1,7 +1,7 @@
 """What was done between two robots."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -12,6 +12,7 @@ from fleetpose.protocol.messages import ViewName
 
 ViewPair = tuple[ViewName, ViewName]
 Due = Literal["nothing", "clicks", "search"]
+Work = Literal["clicks", "features"]  # what a worker asks: clicks alone are quick
 _MOST_UNTRIED = 8  # keyframe pairs of two robots that wait at a time
 _BY_VERDICT = {"verified": 3, "plausible": 2, "ambiguous": 1, "rejected": 0}
 
@@ -21,13 +22,20 @@ class PairStatus:
     """What is done with a pair now, and what is to be done when that has ended.
 
     Attributes:
-        running: a worker aligns it.
+        at_work: what workers do with it. Changed clicks do not wait for features.
         due: its clicks changed and were not aligned since; or they were, without asking features
             again, and nothing sure was found.
+        overtaken: clicks have been aligned since features were asked, which know less than these.
     """
 
-    running: bool = False
+    at_work: frozenset[Work] = frozenset()
     due: Due = "nothing"
+    overtaken: bool = False
+
+    @property
+    def running(self) -> bool:
+        """Whether a worker aligns it."""
+        return bool(self.at_work)
 
 
 @dataclass
@@ -36,8 +44,9 @@ class Agenda:
     are asked for at every turn.
 
     Attributes:
-        running: a worker aligns them.
-        clicks, search: due for that and not at work, in the order in which they became so.
+        running: workers align them.
+        clicks: changed and not being aligned, in the order in which they became so.
+        search: due for that and not at work, likewise.
         tried: that were aligned at least once.
     """
 
@@ -49,11 +58,15 @@ class Agenda:
     def note(self, pair: RobotPair, status: PairStatus) -> None:
         """What a pair is at now."""
         (self.running.add if status.running else self.running.discard)(pair)
-        for due, pairs in (("clicks", self.clicks), ("search", self.search)):
-            if status.due == due and not status.running:
-                pairs.setdefault(pair)
-            else:
-                pairs.pop(pair, None)
+        _list(self.clicks, pair, status.due == "clicks" and "clicks" not in status.at_work)
+        _list(self.search, pair, status.due == "search" and not status.running)
+
+
+def _list(pairs: dict[RobotPair, None], pair: RobotPair, listed: bool) -> None:
+    if listed:
+        pairs.setdefault(pair)
+    else:
+        pairs.pop(pair, None)
 
 
 @dataclass
@@ -66,6 +79,7 @@ class PairRecord:
         untried: what the most promising keyframe pairs promise that were not aligned yet, 0 to 1.
         tried: keyframe pairs aligned, and by which kinds of starts.
         searched: what features gave for keyframe pairs.
+        search_from_s: features are not asked beside clicks before.
         retry: views that are tried again, since the last alignment failed and one of both robots
             sees something else now; retry_promise: as in untried.
         failures: alignments in a row that were rejected, or ended without a result.
@@ -85,6 +99,7 @@ class PairRecord:
     untried: dict[ViewPair, float] = field(default_factory=dict)
     tried: dict[ViewPair, set[str]] = field(default_factory=dict)
     searched: dict[ViewPair, PairResult] = field(default_factory=dict)
+    search_from_s: float = -np.inf
     retry: ViewPair | None = None
     retry_promise: float = 0.0
     failures: int = 0
@@ -110,22 +125,44 @@ class PairRecord:
         """Whether its clicks changed and were not aligned since."""
         return self.status.due == "clicks"
 
+    @property
+    def overtaken(self) -> bool:
+        """Whether clicks have been aligned since features were asked, which are still at work."""
+        return self.status.overtaken
+
     def make_due(self, due: Due) -> None:
         """What is to be done next; nothing comes before changed clicks."""
-        self._turn_to(PairStatus(self.running, due))
+        self._turn_to(replace(self.status, due=due))
 
-    def start(self) -> None:
+    def search_later(self, from_s: float) -> None:
+        """Features are to be asked beside the clicks, from a time on."""
+        self.search_from_s = from_s
+        self.make_due("search")
+
+    def start(self, work: Work = "features") -> None:
         """A worker begins to align it."""
-        self._turn_to(PairStatus(True, self.status.due))
+        overtakes = work == "clicks" and "features" in self.status.at_work
+        at_work = self.status.at_work | {work}
+        self._turn_to(replace(self.status, at_work=at_work, overtaken=overtakes or self.overtaken))
 
-    def stop(self, result: PairResult, views: ViewPair, now_s: float) -> None:
+    def stop(
+        self, result: PairResult, views: ViewPair, now_s: float, work: Work = "features"
+    ) -> None:
         """A worker has ended, with a result or a failure."""
-        self._turn_to(PairStatus(False, self.status.due))
+        self._end(work)
         self._note_tried()
         self.alignments += 1
         self.last, self.last_views, self.last_s = result, views, now_s
         self.refuted = False
         self.failures = self.failures + 1 if result.verdict == "rejected" else 0
+
+    def stop_overtaken(self, views: ViewPair, by_features_alone: PairResult | None) -> None:
+        """Features have answered that clicks overtook: their result is not the pair's, but the
+        next alignment by clicks may know it.
+        """
+        self._end("features")
+        if by_features_alone is not None:
+            self.searched[views] = by_features_alone
 
     def learn(
         self, result: PairResult, views: ViewPair, kind: str, by_features_alone: bool
@@ -186,6 +223,11 @@ class PairRecord:
         self.untried = _without(view, self.untried)
         self.tried = _without(view, self.tried)
         self.searched = _without(view, self.searched)
+
+    def _end(self, work: Work) -> None:
+        overtaken = self.overtaken and work != "features"
+        at_work = self.status.at_work - {work}
+        self._turn_to(replace(self.status, at_work=at_work, overtaken=overtaken))
 
     def _turn_to(self, status: PairStatus) -> None:
         self.status = status

@@ -5,13 +5,14 @@ A cluster that is gone costs nothing but time: jobs that it had run again when i
 
 import logging
 import threading
+from collections.abc import Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from typing import Any
 
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
-from fleetpose.pose_server.workers.jobs import Job
+from fleetpose.pose_server.workers.jobs import EncodedView, Job
 from fleetpose.pose_server.workers.run import run_job, use_one_thread
 from fleetpose.protocol.errors import FleetPoseError, UnreachableError
 
@@ -59,6 +60,9 @@ class ClusterPool:
             self._open[theirs.key] = answer
         theirs.add_done_callback(self._ended)
         return answer
+
+    def prepare(self, views: Sequence[EncodedView]) -> None:
+        """Does nothing: which worker will have the next job is not known."""
 
     def close(self) -> None:
         """Leaves the cluster; its workers go on without us."""

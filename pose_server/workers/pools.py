@@ -9,16 +9,17 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from multiprocessing import parent_process
 from typing import Protocol
 
 from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.workers import preload
-from fleetpose.pose_server.workers.jobs import Done, Job
-from fleetpose.pose_server.workers.run import run_job, use_one_thread
+from fleetpose.pose_server.workers.jobs import Done, EncodedView, Job
+from fleetpose.pose_server.workers.run import prepare, run_job, use_one_thread
 
 MAX_TRIES = 2
 NICE = 5  # of workers whose jobs nobody waits for
@@ -36,6 +37,10 @@ class Pool(Protocol):
 
     def submit(self, job: Job) -> "Future[PairResult]":
         """Begins a job. The future fails with `BrokenProcessPool` where the job's worker died."""
+        ...
+
+    def prepare(self, views: Sequence[EncodedView]) -> None:
+        """Urgent jobs with these views will follow: what can be worked out before may be."""
         ...
 
     def close(self) -> None:
@@ -83,6 +88,10 @@ class Engine:
         self._count(job, 1)
         future = self._pool.submit(job)
         future.add_done_callback(lambda ended: self._ended(job, tries, began, ended))
+
+    def prepare(self, views: Sequence[EncodedView]) -> None:
+        """Views that an operator looks at: a click in them is not to wait for their unpacking."""
+        self._pool.prepare(views)
 
     def retire(self, done: Done) -> bool:
         """Takes a finished job off the books; False if it runs again, because its worker died."""
@@ -138,6 +147,11 @@ class LocalPool:
             future = self._executors[place].submit(run_job, job)
         self._busy[place] = future
         return future
+
+    def prepare(self, views: Sequence[EncodedView]) -> None:
+        """The worker for urgent jobs prepares them; a dead one will do so with its next job."""
+        with suppress(BrokenProcessPool):
+            self._executors[self.workers].submit(prepare, views)
 
     def pids(self) -> list[int]:
         """Process ids of the workers, that for urgent jobs last."""

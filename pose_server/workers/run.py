@@ -2,7 +2,8 @@
 
 import ctypes
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -50,6 +51,13 @@ def run_job(job: Job) -> PairResult:
 def _both_wide(job: Job) -> tuple[PreparedView, PreparedView]:
     i, j = (without_moving(_wide(encoded), encoded.mask) for encoded in (job.i, job.j))
     return i, j
+
+
+def prepare(views: Sequence[EncodedView]) -> None:
+    """Prepares views that jobs will ask for, which tell what is damaged; runs in a worker."""
+    for encoded in views:
+        with suppress(CodecError):
+            _view(encoded)
 
 
 def _finite(result: PairResult) -> PairResult:

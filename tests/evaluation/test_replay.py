@@ -59,7 +59,7 @@ def live_poses(views: list[View]) -> list[RobotPose]:
     pipeline.solve(site, 0.0)
     while compare_some(site, 0.0):
         pass
-    while (job := pipeline.next_job(site, 0.0)) is not None:
+    while (job := pipeline.next_job(site, pipeline.QUIET_S)) is not None:
         pipeline.take_result(site, Done(job, run_job(job)), 0.0)
         pipeline.solve(site, 0.0)
     stamp, settings = Stamp("f" * 12, 0.0, 0), ServerSettings.model_validate({})

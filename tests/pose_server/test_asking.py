@@ -87,7 +87,7 @@ def click(site, n, point):
 
 
 def work(site):
-    while (job := pipeline.next_job(site, 0.0)) is not None:
+    while (job := pipeline.next_job(site, pipeline.QUIET_S)) is not None:
         pipeline.take_result(site, Done(job, run_job(job)), 0.0)
     pipeline.solve(site, 0.0)
 

@@ -141,7 +141,7 @@ def work_off(site: Site, most: int = 20) -> list[str]:
             pipeline.solve(site, 0.0)
         while compare_some(site, 0.0):
             pass
-        job = pipeline.urgent_job(site) or pipeline.next_job(site, 0.0)
+        job = pipeline.urgent_job(site) or pipeline.next_job(site, pipeline.QUIET_S)
         if job is None:
             break
         kinds.append(job.kind)

@@ -75,7 +75,7 @@ class Two:
 
     def work(self) -> None:
         while (
-            job := pipeline.urgent_job(self.site) or pipeline.next_job(self.site, 0.0)
+            job := pipeline.urgent_job(self.site) or pipeline.next_job(self.site, pipeline.QUIET_S)
         ) is not None:
             pipeline.take_result(self.site, Done(job, run_job(job)), 0.0)
         pipeline.solve(self.site, 0.0)

@@ -8,10 +8,12 @@ from fleetpose.pose_server.frontend.frames import position_sigma
 from fleetpose.pose_server.messages import builders
 from fleetpose.pose_server.persistence.graph_writer import graph_of
 from fleetpose.pose_server.persistence.restore import restore
+from fleetpose.pose_server.registration.verdict.evaluate import PairResult
+from fleetpose.pose_server.scheduling.pair_queue import compare_some
 from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.pose_server.state.pairs import PairStatus
 from fleetpose.pose_server.state.site import MAX_HELD_BACK, PINNED_S, Site
-from fleetpose.pose_server.workers.jobs import Done
+from fleetpose.pose_server.workers.jobs import ClickJob, Done
 from fleetpose.pose_server.workers.run import run_job
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.messages import Selection, ViewName
@@ -240,6 +242,42 @@ def test_clicks_have_a_worker_of_their_own_and_a_flood_of_them_takes_none_from_t
     site.pair("r1", "r2")._turn_to(PairStatus(due="clicks"))
     left = pipeline.next_job(site, 0.0)
     assert left is not None and left.kind == "clicks"  # where robots wait for nothing
+
+
+def test_clicks_do_not_wait_for_features_which_may_not_take_back_what_they_say():
+    T_true = turned(15)
+    both, points = scene_with_points_to_click(np.random.default_rng(4), T_true)
+    site = site_of(*both)
+    pipeline.solve(site, 0.0)
+    while compare_some(site, 0.0):
+        pass
+    features = pipeline.next_job(site, 0.0)
+    assert features is not None and features.kind == "pair"
+    for n, point in enumerate(points, 1):
+        pipeline.receive_update(site, click(n, point, T_true))
+    clicks = pipeline.urgent_job(site)
+    assert clicks is not None and clicks.kind == "clicks"
+    assert pipeline.take_result(site, Done(clicks, run_job(clicks)), 0.0)
+    told = site.pair("r1", "r2").last
+    nothing = PairResult(None, None, "rejected", ("features say nothing",))
+    assert not pipeline.take_result(site, Done(features, nothing), 0.1), "it is not to be told"
+    assert site.pair("r1", "r2").last is told
+    again = pipeline.urgent_job(site)
+    assert isinstance(again, ClickJob) and again.known is nothing
+
+
+def test_features_are_asked_beside_clicks_when_no_more_come():
+    T_true = turned(15)
+    both, points = scene_with_points_to_click(np.random.default_rng(4), T_true)
+    site = site_of(*both)
+    pipeline.receive_update(site, click(1, points[0], T_true))
+    clicks = pipeline.urgent_job(site)
+    assert clicks is not None and not clicks.features
+    open_ = PairResult(None, None, "rejected", ("one point is too few",))
+    pipeline.take_result(site, Done(clicks, open_), 5.0)
+    assert pipeline.next_job(site, 5.0) is None
+    search = pipeline.next_job(site, 5.0 + pipeline.QUIET_S)
+    assert search is not None and search.kind == "clicks" and search.features
 
 
 def test_a_robot_that_goes_before_its_first_view_after_a_restart_leaves_its_keyframes():

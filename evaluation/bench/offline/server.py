@@ -148,9 +148,12 @@ class OfflineServer:
         monitor.judge_calibrations(self.site)
 
     def _next_job(self) -> Job | None:
+        """What the server would do next, if nobody clicked for a while."""
         while compare_some(self.site, self._now_s):
             pass
-        return pipeline.urgent_job(self.site) or pipeline.next_job(self.site, self._now_s)
+        return pipeline.urgent_job(self.site) or pipeline.next_job(
+            self.site, self._now_s + pipeline.QUIET_S
+        )
 
     def _do(self, job: Job) -> None:
         """A job that fails is filed as the server files it."""
