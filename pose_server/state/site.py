@@ -165,10 +165,12 @@ class Site:
         del self.robots[name]
 
     def knows(self, pair: RobotPair) -> bool:
-        """Whether anything is or was between two robots that are known."""
-        return self.correspondences.has(*pair) or (
-            pair[0] in self.robots and pair[1] in self.robots
-        )
+        """Whether two names are a pair of robots that are known, or between which something was; in
+        order, as keys name pairs.
+        """
+        a, b = pair
+        known = self.correspondences.has(a, b) or (a in self.robots and b in self.robots)
+        return a < b and known
 
     def pair(self, a: str, b: str) -> PairRecord:
         """The pair's record, made when first needed."""

@@ -228,6 +228,17 @@ def test_clicks_on_an_unknown_view_or_without_depth_are_rejected_with_the_reason
     assert not beyond.accepted and "outside" in beyond.reason
 
 
+@pytest.mark.parametrize("robots", [("r2", "r1"), ("r1", "r1")])
+def test_a_click_on_robots_in_another_order_is_rejected_and_is_of_no_pair_that_keys_name(robots):
+    T_true = turned(15)
+    messages, points = scene_with_points_to_click(np.random.default_rng(4), T_true)
+    site = site_of(*messages)
+    odd = click(1, points[0], T_true).model_copy(update={"i": robots[0], "j": robots[1]})
+    (outcome,) = pipeline.receive_update(site, odd)
+    assert not outcome.accepted and "in order of name" in outcome.reason
+    assert not site.knows(outcome.pair) and site.knows(("r1", "r2"))
+
+
 def test_views_of_the_journal_are_keyframes_after_a_restart():
     T_true = turned(15)
     messages, _ = scene_with_points_to_click(np.random.default_rng(6), T_true)
