@@ -251,9 +251,10 @@ def _click_job(site: Site) -> Job | None:
     what they said of its views counts where it is known.
     """
     for a, b in list(site.agenda.clicks):
-        record = site.pairs[a, b]
+        record, job = site.pairs[a, b], _with_clicks(site, a, b)
+        if job is None and record.running:
+            continue  # what grows from clicks that are gone can be taken back once it is there
         record.make_due("nothing")
-        job = _with_clicks(site, a, b)
         if job is None:
             note_heard(site, (a, b), None, None)
             _unlink_operator(site, a, b)

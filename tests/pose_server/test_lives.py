@@ -266,6 +266,30 @@ def test_clicks_do_not_wait_for_features_which_may_not_take_back_what_they_say()
     assert isinstance(again, ClickJob) and again.known is nothing
 
 
+def test_clicks_that_are_erased_while_features_are_asked_beside_them_leave_nothing():
+    T_true = turned(15)
+    both, points = scene_with_points_to_click(np.random.default_rng(4), T_true)
+    site = site_of(*both)
+    for n, point in enumerate(points, 1):
+        pipeline.receive_update(site, click(n, point, T_true))
+    quick = pipeline.urgent_job(site)
+    assert isinstance(quick, ClickJob)
+    record = site.pair("r1", "r2")
+    record.stop(PairResult(None, None, "rejected", ()), quick.views, 0.0, "clicks")
+    record.search_later(0.0)
+    search = pipeline.next_job(site, 0.0)
+    assert isinstance(search, ClickJob)
+    clear = click(4, points[0], T_true).model_copy(
+        update={"action": "clear", "base_revision": 3, "view_i": None, "view_j": None}
+    )
+    (cleared,) = pipeline.receive_update(site, clear)
+    assert cleared.accepted, cleared.reason
+    assert pipeline.urgent_job(site) is None
+    pipeline.take_result(site, Done(search, run_job(search)), 1.0)
+    assert pipeline.urgent_job(site) is None
+    assert not site.edges and not record.heard
+
+
 def test_features_are_asked_beside_clicks_when_no_more_come():
     T_true = turned(15)
     both, points = scene_with_points_to_click(np.random.default_rng(4), T_true)
