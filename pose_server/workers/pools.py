@@ -134,6 +134,7 @@ class LocalPool:
         self._executors = [_executor(NICE) for _ in range(workers)]
         self._executors.append(_executor(0))
         self._busy: list[Future[PairResult] | None] = [None] * (workers + 1)
+        self._preparing: Future[None] | None = None
 
     def submit(self, job: Job) -> "Future[PairResult]":
         """Begins a job on a worker that has none; urgent ones on the last, if they can."""
@@ -149,9 +150,12 @@ class LocalPool:
         return future
 
     def prepare(self, views: Sequence[EncodedView]) -> None:
-        """The worker for urgent jobs prepares them; a dead one will do so with its next job."""
-        with suppress(BrokenProcessPool):
-            self._executors[self.workers].submit(prepare, views)
+        """The worker for urgent jobs prepares them, unless it still prepares others: clicks wait
+        for a few views at most. A dead one will do so with its next job.
+        """
+        if views and (self._preparing is None or self._preparing.done()):
+            with suppress(BrokenProcessPool):
+                self._preparing = self._executors[self.workers].submit(prepare, views)
 
     def pids(self) -> list[int]:
         """Process ids of the workers, that for urgent jobs last."""

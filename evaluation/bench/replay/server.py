@@ -255,12 +255,12 @@ class ReplayServer:
         heapq.heappush(self._in_work, (self.clock.now_s + self._job_s, number, done))
 
     def _finish(self, done: Done) -> None:
-        pipeline.take_result(self.site, done, self.clock.now_s)
+        telling = pipeline.take_result(self.site, done, self.clock.now_s)
         for view in affine_retries.wanted(self.site):
             self.unanswered += 1
             affine_retries.receive(self.site, view, None)
         i, j = done.job.views
-        if i.robot != j.robot:
+        if telling and i.robot != j.robot:
             self._publisher.alignment(i, j, done.outcome)
         self._publisher.moved()
 
