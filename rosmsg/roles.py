@@ -290,7 +290,7 @@ def _with_motion(found: _Topics, roles: Roles) -> Roles:
         others = len(odometries) - 1
         why["odometry"] = "by its type" + (f", of {others + 1} the plainest name" if others else "")
     if imu is not None:
-        why["imu"] = "by its type; not used yet"
+        why["imu"] = "by its type"
     return replace(roles, odometry=odometry, imu=imu, tf=found.tf(), why=why)
 
 

@@ -100,6 +100,10 @@ class Tf:
                 T = T @ inverse(self._edge(a, at_ns))
         return T
 
+    def top(self, frame: str) -> str:
+        """The uppermost frame above one; itself where there is none."""
+        return self._ancestors(frame)[-1]
+
     def moves(self, target: str, source: str) -> bool:
         """Whether a joint between the two is not known to stand still."""
         frames = self.chain(target, source) or []

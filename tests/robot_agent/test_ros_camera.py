@@ -63,6 +63,8 @@ def test_frames_of_a_robot_are_pairs_of_one_moment_with_its_odometry(router, dia
             assert np.allclose(frame.model.T_robot_camera, T_BASE_OPTICAL, atol=1e-9)
             assert frame.odometry is not None
             assert np.allclose(frame.odometry.T_odom_robot, np.eye(4))
+            up_camera = T_BASE_OPTICAL[:3, :3].T @ (0, 0, 1)
+            assert frame.up_camera is not None and frame.up_camera @ up_camera > np.cos(0.01)
         assert len({frame.stamp_ns for frame in frames}) == 3
         assert not opened.network.drops and not stand_in.silent
 

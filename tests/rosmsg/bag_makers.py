@@ -190,6 +190,22 @@ class Maker:
             ),
         )
 
+    def imu(self, acceleration, stamp_ns, frame, turning=(0, 0, 0)):
+        felt, turned = (
+            self.of("geometry_msgs/Vector3", **dict(zip("xyz", map(float, one), strict=True)))
+            for one in (acceleration, turning)
+        )
+        return self.of(
+            "sensor_msgs/Imu",
+            header=self.header(stamp_ns, frame),
+            orientation=self.of("geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+            orientation_covariance=np.array([-1.0, *[0.0] * 8]),
+            angular_velocity=turned,
+            angular_velocity_covariance=np.zeros(9),
+            linear_acceleration=felt,
+            linear_acceleration_covariance=np.zeros(9),
+        )
+
     def cloud(self, xyz, stamp_ns, frame):
         """PointCloud2 of (H, W, 3): x y z and four bytes more."""
         height, width, _ = xyz.shape

@@ -70,7 +70,7 @@ class BagRecording:
         self.pairing = self._new_pairing()
         self.sensor.restart()
         streams = {topic: k for k, topic in enumerate(self.sensor.streams)}
-        for message in self._bag.messages({*streams, *self.sensor.followed}):
+        for message in self._bag.messages({*streams, *self.sensor.followed, *self.sensor.sampled}):
             if message.topic not in streams:
                 self._note(message)
                 continue

@@ -54,8 +54,9 @@ class RosCamera:
         self._stop = stop or threading.Event()
         self._waiting = waiting
         self._streams = [source.endpoints[topic] for topic in sensor.streams]
+        self._sampled = [source.endpoints[topic] for topic in sorted(sensor.sampled)]
         followed = [source.endpoints[topic] for topic in sorted(sensor.followed)]
-        network.show([*self._streams, *followed])
+        network.show([*self._streams, *self._sampled, *followed])
         self._following = Following(network, sensor, followed)
         self._taken = _Taken(network)
 
@@ -74,12 +75,15 @@ class RosCamera:
         """The next two messages that belong together; None when it is stopped."""
         pairing: Pairing[Recorded] = Pairing(2, self.sensor.max_skew_ns)
         heard = _Heard(self.sensor.streams)
-        with self.network.subscribed(self._streams) as arrivals:
+        with self.network.subscribed([*self._streams, *self._sampled]) as arrivals:
             while not self._stop.is_set():
                 message = arrivals.take(_LOOK_S)
                 if silent := heard.note(message):
                     self._waiting(silent)
                 if message is None:
+                    continue
+                if message.topic not in self.sensor.streams:
+                    self._following.note(message)
                     continue
                 for moment in self._paired(pairing, message):
                     heard.end()
@@ -117,7 +121,7 @@ class _Heard:
     def note(self, message: Recorded | None) -> str:
         """A message came, or none for a while; says what is silent, empty where nothing is."""
         now_s = time.monotonic()
-        if message is not None:
+        if message is not None and message.topic in self._last_s:
             self._last_s[message.topic] = now_s
         silent = [topic for topic, at_s in self._last_s.items() if now_s - at_s > SILENT_S]
         if silent and not self._told:

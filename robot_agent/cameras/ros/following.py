@@ -39,11 +39,11 @@ class Following:
         if odometry in self._kept:
             with self._changed:
                 self._changed.wait_for(lambda: self._reaches(odometry, stamp_ns), _LATER_S)
-        for topic, kept in self._kept.items():
+        for kept in self._kept.values():
             messages = self._drained(kept)
             for message in messages:
                 if _is_near(message, stamp_ns):
-                    self._note(topic, message)
+                    self.note(message)
 
     def close(self) -> None:
         """Leaves them."""
@@ -69,14 +69,15 @@ class Following:
             kept.extend(messages[-1:])  # it may be the one before the next moment
         return messages
 
-    def _note(self, topic: str, message: Recorded) -> None:
+    def note(self, message: Recorded) -> None:
+        """Tells the sensor a message."""
         read = self._network.read(message)
         if read is None:
             return
         try:
-            self._sensor.note(topic, read)
+            self._sensor.note(message.topic, read)
         except CodecError as error:
-            self._network.drops.note(topic, error)
+            self._network.drops.note(message.topic, error)
 
 
 def _is_near(message: Recorded, stamp_ns: int) -> bool:

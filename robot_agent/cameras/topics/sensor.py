@@ -22,9 +22,11 @@ from fleetpose.robot_agent.cameras.topics.framing import (
 from fleetpose.robot_agent.cameras.topics.lenses import info_given, rig_given, rig_of
 from fleetpose.robot_agent.cameras.topics.mounting import Mounting, camera_on_robot, mounting
 from fleetpose.robot_agent.cameras.topics.options import RGBD_SKEW_MS, TopicOptions
+from fleetpose.robot_agent.cameras.topics.up import Up, UpSense
 from fleetpose.rosmsg.bag import Topic
 from fleetpose.rosmsg.camera_infos import CameraInfo, camera_info, frame_of
 from fleetpose.rosmsg.images import bgr, is_compressed
+from fleetpose.rosmsg.inertial import inertial_reading
 from fleetpose.rosmsg.odometry import OdometryReading, Track, odometry_reading
 from fleetpose.rosmsg.roles import Wanted, choose, is_rectified
 from fleetpose.rosmsg.transforms import Tf
@@ -67,6 +69,7 @@ class Sensor:
         roles: which topic is what.
         tf: which frame hangs where.
         mounting: how the camera hangs on the robot.
+        up: what tells where up is.
 
     Raises:
         DataFolderError: there is no camera among the topics.
@@ -99,8 +102,14 @@ class Sensor:
     @property
     def followed(self) -> set[str]:
         """The small topics whose messages `note` is to be given."""
-        tf = self.roles.tf if self.mounting.moves else ()
+        tf = self.roles.tf if self.mounting.moves or self.up.needs("tf") else ()
         return {*tf, *([self.roles.odometry] if self.roles.odometry else [])}
+
+    @property
+    def sampled(self) -> set[str]:
+        """Fast topics of which `note` needs some messages around each frame."""
+        imu = self.roles.imu
+        return {imu} if imu is not None and self.up.needs("imu") else set()
 
     @property
     def max_skew_ns(self) -> int:
@@ -111,6 +120,7 @@ class Sensor:
     def restart(self) -> None:
         """Forgets where the robot was: a recording begins anew."""
         self._track = Track()
+        self.up = UpSense(self._options.up, self.tf, self.mounting, self._frame)
 
     def note(self, topic: str, message: Any, stamp: Callable[[int], int] = int) -> None:
         """Takes a message of a followed topic.
@@ -126,6 +136,10 @@ class Sensor:
         if topic in self.roles.tf:
             self.tf.add(message, static=is_static(topic))
             return
+        if topic == self.roles.imu:
+            if (felt := inertial_reading(message)) is not None:
+                self.up.note(replace(felt, stamp_ns=stamp(felt.stamp_ns)))
+            return
         reading = odometry_reading(message)
         self._track.add(replace(reading, stamp_ns=stamp(reading.stamp_ns)))
 
@@ -138,13 +152,18 @@ class Sensor:
         """
         T_robot_camera = camera_on_robot(self.tf, self.mounting, self._frame, stamp_ns)
         frame = self._framing.frame(image, ranges, stamp_ns, T_robot_camera)
-        return replace(frame, odometry=self._odometry_at(stamp_ns))
-
-    def _odometry_at(self, stamp_ns: int) -> OdometryPose | None:
         reading = self._track.at(stamp_ns)
-        if reading is None:
-            return None
-        return OdometryPose(self._T_odom_robot(reading, stamp_ns), reading.covariance)
+        if reading is not None:
+            odometry = OdometryPose(self._T_odom_robot(reading, stamp_ns), reading.covariance)
+            frame = replace(frame, odometry=odometry)
+        level = reading is not None and self._is_joined(reading)
+        T_odom_robot = self._T_odom_robot(reading, stamp_ns) if level else None
+        return with_up(frame, self.up.at(stamp_ns, T_robot_camera, T_odom_robot))
+
+    def _is_joined(self, reading: OdometryReading) -> bool:
+        """Whether tf knows the robot's body and how the body of its odometry hangs on it."""
+        base, child = self.mounting.base, reading.child_frame
+        return bool(base) and (child in ("", base) or self.tf.chain(child, base) is not None)
 
     def _T_odom_robot(self, reading: OdometryReading, stamp_ns: int) -> Floats:
         T_odom_robot, base = reading.T_odom_child, self.mounting.base
@@ -236,6 +255,14 @@ class Sensor:
         if first is None:
             raise DataFolderError(f"{self._source.name}: no message of {topic} can be read")
         return first
+
+
+def with_up(frame: Frame, up: Up | None) -> Frame:
+    """A frame that says where up is in its camera's axes, of up in the robot's."""
+    if up is None:
+        return frame
+    up_camera = frame.model.T_robot_camera[:3, :3].T @ up.direction
+    return replace(frame, up_camera=up_camera, up_sigma_rad=up.sigma_rad)
 
 
 def is_static(topic: str) -> bool:
