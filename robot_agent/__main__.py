@@ -12,6 +12,7 @@ import typer
 from fleetpose.protocol.commands import Version, run_command
 from fleetpose.protocol.logs import log_to_stderr
 from fleetpose.protocol.settings import DumpSettings, SettingsFile, with_options
+from fleetpose.robot_agent.cameras.topics.options import UpSource
 from fleetpose.robot_agent.settings import RobotSettings
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
@@ -135,7 +136,9 @@ def inspect(
 
 @app.command()
 def topics(
-    source: Annotated[str, typer.Argument(help="A bag: .mcap, .db3, .bag, folder; or a,b.")],
+    source: Annotated[
+        str, typer.Argument(help="A bag (.mcap, .db3, .bag, folder; or a,b), or tcp/ROBOT:7447.")
+    ],
     namespace: Annotated[str, typer.Option(help="Of the robot's topics, e.g. /r1.")] = "",
     image: Annotated[str, typer.Option(help="The topic of colours.")] = "",
     depth: Annotated[str, typer.Option(help="The topic of depths.")] = "",
@@ -143,15 +146,21 @@ def topics(
     right: Annotated[str, typer.Option(help="The topic of the right eye.")] = "",
     cloud: Annotated[str, typer.Option(help="The topic of a cloud.")] = "",
     base: Annotated[str, typer.Option(help="The frame of the robot's body.")] = "base_link",
+    up: Annotated[
+        UpSource, typer.Option(help="What tells where up is: auto, odom, imu, tf, none.")
+    ] = "auto",
+    domain: Annotated[int, typer.Option(min=0, max=232, help="ROS_DOMAIN_ID of a robot.")] = 0,
     calibration: Calibration = None,
 ) -> None:
-    """Says what a bag has: topics, rates, which make a camera and why, and what is missing."""
-    from fleetpose.robot_agent.cameras.bag.options import BagOptions
+    """Says what a bag has, or a robot that runs ROS 2 and whose router is named: topics, rates,
+    which make a camera and why, and what is missing. A robot is listened to for two seconds.
+    """
+    from fleetpose.robot_agent.cameras.topics.options import TopicOptions
     from fleetpose.robot_agent.checking.topics import report
 
     logging.getLogger("fleetpose").propagate = False  # what readers warn of is printed as notes
-    options = BagOptions(namespace, image, depth, left, right, cloud, base)
-    for line in report(source, options, calibration):
+    options = TopicOptions(namespace, image, depth, left, right, cloud, base, up=up)
+    for line in report(source, options, calibration, domain):
         typer.echo(line)
 
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.messages import RobotPose
-from fleetpose.rosmsg.odometry import OdometryReading, Track, odometry_reading
+from fleetpose.rosmsg.motion.odometry import OdometryReading, Track, odometry_reading
 from fleetpose.rosmsg.stamps import stamp_ns
 from fleetpose.rosmsg.transforms import Tf, inverse, pose_matrix
 

@@ -1,6 +1,7 @@
 """The topics of a domain, by the tokens that their publishers show."""
 
 from collections import Counter
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 from fleetpose.protocol.errors import CodecError
@@ -49,3 +50,11 @@ class Directory:
     def publishers(self) -> Counter[str]:
         """How many each topic has."""
         return Counter(endpoint.topic for endpoint in self._publishers.values())
+
+
+def namespaces(endpoints: Mapping[str, Endpoint], types: Collection[str]) -> set[str]:
+    """The namespaces that have topics of some types: a robot has its own tf, if any."""
+    parents = {
+        topic.rpartition("/")[0] for topic, endpoint in endpoints.items() if endpoint.type in types
+    }
+    return parents - {""}

@@ -6,10 +6,12 @@ from contextlib import ExitStack, contextmanager
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from fleetpose.evaluation.system.ros.speaking import DIALECTS, Node
 from fleetpose.evaluation.system.ros.stand_in import Sight, StandIn
 from fleetpose.protocol.transport import Link, SessionSettings, open_session, wait_until
+from fleetpose.robot_agent.__main__ import app
 from fleetpose.robot_agent.cameras.base import CameraError, DepthImage
 from fleetpose.robot_agent.cameras.ros import camera as ros_camera
 from fleetpose.robot_agent.cameras.ros import finding
@@ -113,4 +115,29 @@ def test_a_camera_that_is_not_there_is_said_with_what_is(router, monkeypatch):
         assert "images, but no depths" in said and "/site/Alpha/odom" in said
         assert "silent are: /site/Alpha/camera/aligned_depth_to_color/image_raw" in said
         with pytest.raises(CameraError, match="below '/r2'"), camera(router, namespace="/r2"):
+            pass
+
+
+def test_topics_says_of_a_robot_what_there_is_what_is_taken_and_what_is_missing(router):
+    with robot(router) as stand_in:
+        stand_in.silent.add("/site/Alpha/imu")
+        done = CliRunner().invoke(app, ["topics", router, "--namespace", "/site/Alpha"])
+    said = done.output
+    assert done.exit_code == 0 and "8 topics, listened to for 2.0 s" in said
+    assert "/site/Alpha/imu" in said and "silent" in said
+    assert "colour      /site/Alpha/camera/color/image_raw" in said
+    assert "0.0 ms, at most 0.0, of" in said
+    assert "base_link -> camera_color_optical_frame (fixed)" in said
+    assert f"run --name alpha --camera ros --data {router} --namespace /site/Alpha\n" in said
+    rates = [float(line.split()[-2]) for line in said.splitlines() if line.endswith(" Hz")]
+    assert len(rates) >= 6 and max(rates) < 2 * RATE_HZ
+
+
+def test_of_several_robots_one_has_to_be_named(router, monkeypatch):
+    monkeypatch.setattr(finding, "FOUND_WITHIN_S", 0.0)
+    with robot(router), ExitStack() as closing:
+        link = Link(open_session(SessionSettings(connect=(router,))))
+        closing.callback(link.close)
+        Node(link, "humble").advertise("/site/Bravo/tf", "tf2_msgs/msg/TFMessage")
+        with pytest.raises(CameraError, match="one of /site/Alpha, /site/Bravo"), camera(router):
             pass

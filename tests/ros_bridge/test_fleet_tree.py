@@ -13,7 +13,7 @@ from fleetpose.protocol.messages import RobotPose, ViewName
 from fleetpose.ros_bridge.fleet_tree import FLEET, SETTLED_S, Hung, RobotTree
 from fleetpose.ros_bridge.outgoing import Outgoing, quaternion, ros_covariance
 from fleetpose.rosmsg.dialects import rmw_zenoh
-from fleetpose.rosmsg.odometry import left_covariance
+from fleetpose.rosmsg.motion.odometry import left_covariance
 from fleetpose.rosmsg.transforms import Tf, inverse
 
 MADE = Outgoing(rmw_zenoh.types().types.__getitem__)

@@ -21,7 +21,7 @@ from fleetpose.rosmsg.camera_infos import camera_info
 from fleetpose.rosmsg.clouds import xyz_of
 from fleetpose.rosmsg.depths import depth_m
 from fleetpose.rosmsg.images import bgr, raw_image
-from fleetpose.rosmsg.odometry import NEAR_NS, OdometryReading, Track, left_covariance
+from fleetpose.rosmsg.motion.odometry import NEAR_NS, OdometryReading, Track, left_covariance
 from fleetpose.rosmsg.roles import Wanted, choose
 from fleetpose.rosmsg.stamps import Pairing
 from fleetpose.rosmsg.transforms import Tf

@@ -14,6 +14,7 @@ from fleetpose.robot_agent.cameras.ros.options import RosOptions
 from fleetpose.robot_agent.cameras.topics.sensor import Sensor
 from fleetpose.rosmsg.bag import Recorded, Topic
 from fleetpose.rosmsg.dialects.rmw_zenoh import Endpoint
+from fleetpose.rosmsg.live.directory import namespaces
 from fleetpose.rosmsg.roles import CLOUD, HEADED, IMAGES, TF, is_below
 from fleetpose.rosmsg.transforms import KEPT
 
@@ -37,6 +38,7 @@ class RobotTopics:
     Attributes:
         endpoints: its topics, and those of tf.
         counts: messages that came while they were looked at.
+        seconds: for how long that was, the last time.
     """
 
     what = "the robot"
@@ -60,31 +62,37 @@ class RobotTopics:
     @property
     def silent(self) -> list[str]:
         """Topics that could be needed, have a publisher, and say nothing."""
-        return [one.topic for one in self._wanted() if one.topic not in self.counts]
+        return [one.topic for one in self.wanted if one.topic not in self.counts]
 
-    def look(self, within_s: float = LOOK_S, whole: bool = False) -> None:
+    def look(
+        self, within_s: float | None = None, heard: Callable[[Recorded], None] | None = None
+    ) -> None:
         """Waits for a message of every topic that could be needed, but no longer than told.
 
         Args:
-            within_s: how long at most.
-            whole: whether all of them are listened to for that long, to count.
+            within_s: how long at most; two seconds if not told.
+            heard: if given, all are listened to for that long, and it is told every message.
         """
+        within_s = LOOK_S if within_s is None else within_s
         self.endpoints = {
             name: one
             for name, one in self._network.endpoints().items()
             if is_below(name, self._namespace) or one.type in TF
         }
-        wanted = self._wanted()
-        missing = [one for one in wanted if whole or one.type in TF or one.topic not in self.counts]
+        missing = [
+            one for one in self.wanted if heard or one.type in TF or one.topic not in self.counts
+        ]
         hide = self._network.show(missing)
         began_s = time.monotonic()
         with self._network.subscribed(missing) as arrivals:
             while (left_s := began_s + within_s - time.monotonic()) > 0:
-                if not (whole or self.silent) and time.monotonic() - began_s > _MOVING_S:
+                if not (heard or self.silent) and time.monotonic() - began_s > _MOVING_S:
                     break
                 message = arrivals.take(min(left_s, 0.1))
                 if message is not None:
                     self._note(message)
+                    if heard is not None:
+                        heard(message)
         self.seconds = time.monotonic() - began_s
         hide()
 
@@ -99,7 +107,9 @@ class RobotTopics:
             if (read := self._network.read(message)) is not None:
                 yield read
 
-    def _wanted(self) -> list[Endpoint]:
+    @property
+    def wanted(self) -> list[Endpoint]:
+        """Those of a kind that could be needed."""
         kinds = (*IMAGES, *HEADED, CLOUD, *TF)
         return [one for one in self.endpoints.values() if one.type in kinds]
 
@@ -131,6 +141,7 @@ def find(
         source.look()
         late = time.monotonic() > end_s
         try:
+            of_one_robot(source, options)
             sensor = Sensor(source, options, calibration, translation_unit)
         except FleetPoseError as error:
             if late:
@@ -140,6 +151,15 @@ def find(
                 return sensor
         stop.wait(_SETTLE_S)
     raise EndedError("asked to end while looking at the robot's topics")
+
+
+def of_one_robot(source: RobotTopics, options: RosOptions) -> None:
+    """Raises:
+    CameraError: topics are of several robots, and none is named.
+    """
+    robots = namespaces(source.endpoints, TF)
+    if len(robots) > 1 and not options.namespace:
+        raise CameraError(f"several robots: give --namespace, one of {', '.join(sorted(robots))}")
 
 
 def _why_not(source: RobotTopics, error: FleetPoseError) -> str:

@@ -10,7 +10,7 @@ from fleetpose.robot_agent.cameras.ros.network import RosNetwork
 from fleetpose.robot_agent.cameras.topics.sensor import Sensor
 from fleetpose.rosmsg.bag import Recorded
 from fleetpose.rosmsg.dialects.rmw_zenoh import Endpoint
-from fleetpose.rosmsg.odometry import NEAR_NS
+from fleetpose.rosmsg.motion.odometry import NEAR_NS
 from fleetpose.rosmsg.roles import HEADED
 from fleetpose.rosmsg.stamps import header_ns
 

@@ -26,8 +26,8 @@ from fleetpose.robot_agent.cameras.topics.up import Up, UpSense
 from fleetpose.rosmsg.bag import Topic
 from fleetpose.rosmsg.camera_infos import CameraInfo, camera_info, frame_of
 from fleetpose.rosmsg.images import bgr, is_compressed
-from fleetpose.rosmsg.inertial import inertial_reading
-from fleetpose.rosmsg.odometry import OdometryReading, Track, odometry_reading
+from fleetpose.rosmsg.motion.inertial import inertial_reading
+from fleetpose.rosmsg.motion.odometry import OdometryReading, Track, odometry_reading
 from fleetpose.rosmsg.roles import Wanted, choose, is_rectified
 from fleetpose.rosmsg.transforms import Tf
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from fleetpose.robot_agent.cameras.topics.mounting import Mounting
 from fleetpose.robot_agent.cameras.topics.options import UpSource
-from fleetpose.rosmsg.inertial import InertialReading
+from fleetpose.rosmsg.motion.inertial import InertialReading
 from fleetpose.rosmsg.transforms import Tf
 
 log = logging.getLogger(__name__)

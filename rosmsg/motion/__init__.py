@@ -1,0 +1,1 @@
+"""What a robot says of its own motion, and of gravity."""
