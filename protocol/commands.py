@@ -22,6 +22,7 @@ MODULES = {  # that an extra brings, as they are imported; Open3D is done withou
     "cluster": ("distributed",),
     "metrics": ("prometheus_client",),
     "record": ("mcap", "foxglove_schemas_protobuf", "mcap_protobuf"),
+    "live": ("foxglove",),
     "hmi": ("cv2", "textual", "rich", "mcap"),
     "rerun": ("rerun",),
     "ros": ("rosbags", "mcap", "xxhash"),

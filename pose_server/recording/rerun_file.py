@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr  # pyright: ignore[reportMissingImports] (large: an extra of its own)
 
-from fleetpose.pose_server.recording.foxglove_file import FLEET, scaled
+from fleetpose.pose_server.recording.foxglove_scene import FLEET, scaled
 from fleetpose.pose_server.recording.show import COLOURS, Floats, Rgb, ShownLink, new_file, rgb
 from fleetpose.protocol.messages import Camera, RobotPose
 
