@@ -49,15 +49,16 @@ def record(
     makes a file for Foxglove or Rerun of it. Begin before the robots do: what was said before is
     not in it.
 
-    Where a site has access rules, what they do not let this configuration hear is missing.
+    Where a site has access rules, take a recorder's configuration (`pose-deploy add SITE recorder
+    NAME`): nobody else but the server may hear everything.
     """
     from fleetpose.pose_server.recording.site import SiteRecorder
     from fleetpose.protocol.keys import Keys
 
-    stop = _stopped_by_signals()
+    keys, stop = Keys(_site(site, config)), _stopped_by_signals()
     link = _link(connect, config, connect_timeout_s, stop)
     try:
-        recorder = SiteRecorder(link, Keys(site), out, images)
+        recorder = SiteRecorder(link, keys, out, images)
         ended = recorder.run(stop, seconds, _say_progress)
     finally:
         link.close()
@@ -110,6 +111,7 @@ def show(
 
     if live:
         require("record,live")
+        site = _site(site, config)
         _show_live(file, listen, lambda stop: _link(connect, config, connect_timeout_s, stop), site)
         return
     if file is None or (foxglove is None and rrd is None):
@@ -174,6 +176,18 @@ def _stopped_by_signals() -> "threading.Event":
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     return stop
+
+
+def _site(told: str, config: Path | None) -> str:
+    """The site that a configuration is for, else the one that was told.
+
+    Raises:
+        EndpointError: it belongs to a process that may not hear everything.
+    """
+    from fleetpose.protocol.session.identity import identity_in
+
+    identity = None if config is None else identity_in(config, ("recorder", "server"))
+    return told if identity is None else identity.site
 
 
 def _link(
