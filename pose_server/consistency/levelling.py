@@ -7,7 +7,7 @@ and the heading stay. Poses before and after a turn do not compare, so it raises
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -39,7 +39,7 @@ def level(site: Site) -> bool:
     told = _told(site, root)
     if not told:
         return False
-    ups, weights = _ups(*zip(*told.values(), strict=True))
+    ups, weights = _votes(told)
     up_fleet = robust_mean(ups @ R_fleet_root.T, weights)
     off_rad = float(np.arccos(np.clip(up_fleet[2], -1.0, 1.0)))
     if site.knows_up(root) and off_rad <= RELEVEL_RAD:
@@ -87,9 +87,9 @@ def recall_levels(site: Site, text: str) -> None:
             site.anchoring.set_level(view, np.array(numbers, np.float64).reshape(3, 3))
 
 
-def _told(site: Site, root: ViewName) -> dict[ViewName, tuple[KeptView, Floats]]:
-    """What knows up in a component, with R_root_view (3, 3): keyframes, and newest views, as who
-    learns it late, standing still, has told it with none of its keyframes.
+def _told(site: Site, root: ViewName) -> dict[ViewName, tuple[Floats, float]]:
+    """Up (3,) in the root camera's frame, and its sigma, rad, of what knows it in a component:
+    keyframes, and newest views, as who learns it late, standing still, tells it by no keyframe.
     """
     assert site.solution is not None
     newest = (robot.track.newest.view for robot in site.robots.values() if robot.track.newest)
@@ -97,7 +97,7 @@ def _told(site: Site, root: ViewName) -> dict[ViewName, tuple[KeptView, Floats]]
     for name in dict.fromkeys((*site.solution.components[root], *newest)):
         kept, R = site.views.get(name), _R_root(site, name, root)
         if kept is not None and kept.up_camera is not None and R is not None:
-            found[name] = kept, R
+            found[name] = R @ kept.up_camera, kept.up_sigma_rad or _SIGMA_RAD
     return found
 
 
@@ -111,15 +111,15 @@ def _R_root(site: Site, name: ViewName, root: ViewName) -> Floats | None:
     return node.T_root_camera[:3, :3] @ here.T_keyframe_view[:3, :3]
 
 
-def _ups(views: Sequence[KeptView], R_root_views: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Ups (N, 3) in the root camera's frame, and their weights (N,): a robot's views have one vote
-    together, as they share its sensor, and a surer sensor has more.
+def _votes(told: Mapping[ViewName, tuple[Floats, float]]) -> tuple[Floats, Floats]:
+    """Ups (N, 3) and their weights (N,): a robot's views have one vote together, as they share its
+    sensor, and a surer sensor has more.
     """
-    votes = Counter(view.name.robot for view in views)
-    ups = np.array([R @ view.up_camera for R, view in zip(R_root_views, views, strict=True)])
-    sigmas = [max(view.up_sigma_rad or _SIGMA_RAD, _LEAST_SIGMA_RAD) for view in views]
-    shares = [votes[view.name.robot] for view in views]
-    return ups / np.linalg.norm(ups, axis=1, keepdims=True), 1.0 / np.multiply(shares, sigmas)
+    count = Counter(view.robot for view in told)
+    ups = np.array([up for up, _ in told.values()])
+    sigmas = np.maximum([sigma for _, sigma in told.values()], _LEAST_SIGMA_RAD)
+    shares = np.array([count[view.robot] for view in told], np.float64)
+    return ups / np.linalg.norm(ups, axis=1, keepdims=True), 1.0 / (shares * sigmas)
 
 
 def _unit(vector: Floats, otherwise: Floats) -> Floats:
