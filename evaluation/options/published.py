@@ -26,3 +26,13 @@ class BenchOptions:
         "Robots send each so-manieth frame; if not told, about two a second.", min=1
     )
     frames: int | None = told("So many of these of each sequence, from its start.", min=1)
+
+
+@dataclass(frozen=True)
+class FormatsOptions:
+    """What `pose-eval formats` is asked for."""
+
+    python: Path | None = told("Python of an environment that has evo and pycolmap.")
+    bundle: Path | None = told("Bundler's example kermit: bundle.out, or a folder with it.")
+    robots: int = told("In the synthetic town.", 2, min=2)
+    frames: int = told("Of each.", 6, min=3)

@@ -5,8 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from fleetpose.evaluation.report.output import print_table
-
 
 @dataclass(frozen=True)
 class Bar:
@@ -39,12 +37,13 @@ class Bar:
         return self.figure >= self.limit if self.at_least else self.figure <= self.limit
 
     @property
-    def row(self) -> tuple[str, float | None, str, str]:
-        """Its line in a table."""
-        said = (
-            ("met" if self.met else "NOT MET") if self.checked else f"not checked: {self.why_not}"
-        )
-        return self.name, self.figure, f"{'>=' if self.at_least else '<='} {self.limit:g}", said
+    def line(self) -> str:
+        """As it is printed: whether it is met, figure, limit, name."""
+        said = ("met" if self.met else "NOT MET") if self.checked else "not checked"
+        figure = "-" if self.figure is None else f"{self.figure:.4g}"
+        limit = f"{'>=' if self.at_least else '<='} {self.limit:g}"
+        why = f" ({self.why_not})" if self.why_not else ""
+        return f"{said:11}  {figure:>10}  {limit:>8}  {self.name}{why}"
 
 
 def all_met(bars: Sequence[Bar]) -> bool:
@@ -59,5 +58,7 @@ def as_rows(bars: Sequence[Bar]) -> list[dict[str, Any]]:
 
 
 def print_bars(title: str, bars: Sequence[Bar]) -> None:
-    """Prints each with its figure, its limit, and whether it is met."""
-    print_table(title, ("bar", "figure", "limit", ""), [bar.row for bar in bars])
+    """Prints each on a line, whole, whatever the terminal's width."""
+    print(title)
+    for bar in bars:
+        print(f"  {bar.line}")

@@ -29,7 +29,7 @@ def run(options: BenchOptions, out: Path) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="fleetpose-") as scratch:
         played = play(robots, Path(scratch))
     summary = summary_of(options, robots, played)
-    _write_trajectories(robots, played, out / "tum")
+    write_trajectories(robots, played, out / "tum")
     write_summary(out, summary)
     _print(options, summary)
     return summary
@@ -99,7 +99,7 @@ def summary_of(
     }
 
 
-def _write_trajectories(robots: Sequence[RecordedSequence], played: Played, folder: Path) -> None:
+def write_trajectories(robots: Sequence[RecordedSequence], played: Played, folder: Path) -> None:
     """Estimates and truth of each robot, for `evo_ape tum TRUTH ESTIMATE -a`."""
     shots = {robot.name: robot.shots for robot in robots}
     folder.mkdir(parents=True, exist_ok=True)

@@ -28,6 +28,8 @@ EPOCH = "0" * 12
 STEP_S = 1.0  # of the server's clock between two views of a robot
 _JOBS_PER_ROBOT = 12  # in a step: more than a view asks for unless pairs go round in circles
 
+_JOBS_AT_END_PER_ROBOT = 200
+
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
@@ -65,7 +67,15 @@ class Played:
 
 
 def play(robots: Sequence[RecordedSequence], scratch: Path) -> Played:
-    """Lets all robots walk to their ends.
+    """Lets all robots walk to their ends, and tells what became of them: see `walked`."""
+    return played_of(*walked(robots, scratch))
+
+
+def walked(
+    robots: Sequence[RecordedSequence], scratch: Path
+) -> tuple[OfflineServer, int, dict[str, int]]:
+    """Lets all robots walk to their ends; the server that followed them, how many views it could
+    not use, and what each lost.
 
     Args:
         scratch: an empty folder for what robots get and send.
@@ -86,7 +96,8 @@ def play(robots: Sequence[RecordedSequence], scratch: Path) -> Played:
             server.settle(_JOBS_PER_ROBOT * len(robots))
             _note_lost(server, step, lost)
             bar.advance(task)
-    return _played(server, refused, lost)
+        server.settle(_JOBS_AT_END_PER_ROBOT * len(robots))  # places seen long ago, by another one
+    return server, refused, lost
 
 
 def _walk(robot: RecordedSequence, folder: Path) -> Iterator[Frame]:
@@ -135,7 +146,8 @@ def _has_others(site: Site, root: ViewName) -> bool:
     return len({view.robot for view in site.solution.components[root]}) > 1
 
 
-def _played(server: OfflineServer, refused: int, lost: dict[str, int]) -> Played:
+def played_of(server: OfflineServer, refused: int, lost: dict[str, int]) -> Played:
+    """What became of a run."""
     site = server.site
     estimates = tuple(
         Estimate(view.robot, view.seq, one.component, np.asarray(one.T_fleet_camera, np.float64))
