@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from fleetpose.evaluation.options.bags import BagsOptions
 from fleetpose.evaluation.options.building import of
 from fleetpose.evaluation.options.field import FieldOptions
 from fleetpose.evaluation.options.fleets import (
@@ -100,6 +101,23 @@ def field(options: FieldOptions, out: Out) -> None:
     from fleetpose.evaluation.system.field.command import run
 
     run(options, out)
+
+
+@app.command()
+@of(BagsOptions)
+def bags(options: BagsOptions, out: Out) -> None:
+    """Hold robots out of bags to their bars, without ROS: `robot-agent topics` ends 0 on every bag;
+    a scene in every form in which bags come is read as it was, none of its frames lost, raw ones
+    within 10 ms; two live robots on recorded bags are both verified, where they truly were, with
+    no clock blamed and no pose stale; and so are two of which one plays a bag of ROS 1.
+
+    Recorded bags tell their truth in ground_truth/pose; robots get bags without it. Without --data
+    they walk through the synthetic town. Prints each bar with its figure and its limit, writes
+    summary.json, and ends with 1 where one is not met.
+    """
+    from fleetpose.evaluation.bench.bags.command import run
+
+    raise typer.Exit(run(options, out))
 
 
 @app.command(hidden=True)

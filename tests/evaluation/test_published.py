@@ -88,7 +88,7 @@ def test_too_few_poses_have_no_error():
         ("laps", "a", "known are euroc"),
         ("tum", "none", "no folder"),
         ("tum", "fr1,fr1", "each once"),
-        ("tum", "", "each once"),
+        ("tum", "", "groundtruth.txt"),
     ],
 )
 def test_what_cannot_be_played_is_a_sentence(tmp_path, layout, robots, said):

@@ -29,7 +29,7 @@ def run(options: BenchOptions, out: Path) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="fleetpose-") as scratch:
         played = play(robots, Path(scratch))
     summary = summary_of(options, robots, played)
-    _write_trajectories(robots, played, out / "tum")
+    write_trajectories(robots, played, out / "tum")
     write_summary(out, summary)
     _print(options, summary)
     return summary
@@ -48,12 +48,14 @@ def robots_of(options: BenchOptions) -> list[RecordedSequence]:
         )
     if options.layout not in LAYOUTS:
         raise DataFolderError(f"--layout {options.layout}: known are {', '.join(LAYOUTS)}")
-    names = [name for name in options.robots.split(",") if name]
+    names = [name for name in options.robots.split(",") if name] or [""]
     step = options.every or LAYOUTS[options.layout].every
     robots: list[RecordedSequence] = []
     for name in names:
         sequence = open_sequence(options.layout, options.data, name).every(step, options.frames)
-        robots += sequence.split(options.split) if options.split > 1 else [sequence]
+        robots += (
+            sequence.split(options.split, options.in_turn) if options.split > 1 else [sequence]
+        )
     if len({robot.name for robot in robots}) < len(robots) or not robots:
         raise DataFolderError(f"--robots {options.robots}: name sequences, each once")
     return robots
@@ -86,6 +88,8 @@ def summary_of(
         "frames": frames,
         "frames_placed": sum(len(true) for true, _ in positions.values()),
         "frames_refused": played.refused,
+        "lost": sum(played.lost.values()),
+        "lost_robots": played.lost,
         "keyframes": played.keyframes,
         "alignments": played.jobs,
         "ate_joint_m": error.joint_m,
@@ -95,7 +99,7 @@ def summary_of(
     }
 
 
-def _write_trajectories(robots: Sequence[RecordedSequence], played: Played, folder: Path) -> None:
+def write_trajectories(robots: Sequence[RecordedSequence], played: Played, folder: Path) -> None:
     """Estimates and truth of each robot, for `evo_ape tum TRUTH ESTIMATE -a`."""
     shots = {robot.name: robot.shots for robot in robots}
     folder.mkdir(parents=True, exist_ok=True)

@@ -54,8 +54,9 @@ class RecordedSequence:
         """Each so-manieth frame, the first ones."""
         return self._with(self.name, self.shots[::step][:most])
 
-    def split(self, parts: int) -> list["RecordedSequence"]:
-        """As many robots, one after the other along the way.
+    def split(self, parts: int, in_turn: bool = True) -> list["RecordedSequence"]:
+        """As many robots: each a part of the way, one after the other, or all of it with every
+        so-manieth frame.
 
         Raises:
             DataFolderError: there are fewer frames.
@@ -65,6 +66,8 @@ class RecordedSequence:
                 f"{self.folder} has {len(self.shots)} frames for {parts} robots: give a smaller "
                 "--split, or a smaller --every"
             )
+        if not in_turn:
+            return [self._with(f"{self.name}-{k}", self.shots[k::parts]) for k in range(parts)]
         cuts = np.linspace(0, len(self.shots), parts + 1).round().astype(int)
         return [
             self._with(f"{self.name}-{k}", self.shots[a:b])
