@@ -117,14 +117,18 @@ class Link:
 
     def on_latched(self, key_expr: str, callback: Callable[[Sample], None]) -> None:
         """Subscribes with history and recovery; the callback must only store."""
-        self._declared.append(
-            ext.declare_advanced_subscriber(
-                self.session,
-                key_expr,
-                lambda sample: callback(_detached(sample)),
-                history=ext.HistoryConfig(detect_late_publishers=True),
-                recovery=ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
-            )
+        self._declared.append(self.subscribe_latched(key_expr, callback))
+
+    def subscribe_latched(self, key_expr: str, store: Callable[[Sample], None]) -> Any:
+        """Subscribes to one more key with history and recovery; undeclare what is returned to end
+        it. The callback must only store.
+        """
+        return ext.declare_advanced_subscriber(
+            self.session,
+            key_expr,
+            lambda sample: store(_detached(sample)),
+            history=ext.HistoryConfig(detect_late_publishers=True),
+            recovery=ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
         )
 
     def subscribe_bulk(self, key: str, store: Callable[[Sample], None]) -> Any:
@@ -133,9 +137,13 @@ class Link:
         """
         return self.session.declare_subscriber(key, lambda sample: store(_detached(sample)))
 
-    def token(self, key: str) -> None:
-        """Shows this process as alive under a key until the session ends."""
-        self._declared.append(self.session.liveliness().declare_token(key))
+    def token(self, key: str) -> Any:
+        """Shows this process as alive under a key until the session ends, or until what is returned
+        is undeclared.
+        """
+        token = self.session.liveliness().declare_token(key)
+        self._declared.append(token)
+        return token
 
     def on_alive(self, key_expr: str, callback: Callable[[str, bool], None]) -> None:
         """Calls back with (key, alive) for tokens that are there, come and go; the callback must

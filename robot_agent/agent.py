@@ -18,6 +18,7 @@ from fleetpose.robot_agent.cameras.base import Frame
 from fleetpose.robot_agent.cameras.factory import open_camera
 from fleetpose.robot_agent.cameras.folders.pairing import MAX_SKEW_MS
 from fleetpose.robot_agent.cameras.kinds import clock_of
+from fleetpose.robot_agent.cameras.ros.options import RosOptions
 from fleetpose.robot_agent.cameras.stereo.video import video_settings
 from fleetpose.robot_agent.cameras.understood import understood_of
 from fleetpose.robot_agent.client import FleetRobot
@@ -28,6 +29,7 @@ from fleetpose.robot_agent.settings import RobotSettings
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
+Options = TypeVar("Options", BagOptions, RosOptions)
 _LOOK_S = 1.0
 
 
@@ -57,7 +59,9 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
         stop=stop,
         translation_unit=settings.translation_unit,
         depth_scale=settings.depth_scale,
-        bag=_bag_options(settings),
+        bag=_options(BagOptions, settings),
+        ros=_options(RosOptions, settings),
+        waiting=systemd.alive,
     )
     try:
         systemd.ready()
@@ -106,8 +110,9 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
         camera.close()
 
 
-def _bag_options(settings: RobotSettings) -> BagOptions:
-    return BagOptions(**{field.name: getattr(settings, field.name) for field in fields(BagOptions)})
+def _options(kind: type[Options], settings: RobotSettings) -> Options:
+    """Those of the settings that a kind of cameras has as options of its own."""
+    return kind(**{field.name: getattr(settings, field.name) for field in fields(kind)})
 
 
 def _status(robot: FleetRobot) -> str:

@@ -2,15 +2,17 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 from pydantic_settings import SettingsConfigDict
 
 from fleetpose.protocol.settings import Endpoints, Name, ProcessSettings
 from fleetpose.robot_agent.cameras.bag.options import StampSource
 from fleetpose.robot_agent.cameras.kinds import CameraKind
 from fleetpose.robot_agent.cameras.replay import ReplayMode
+from fleetpose.robot_agent.cameras.topics.options import UpSource
+from fleetpose.rosmsg.live.names import name_of
 
 
 class RobotSettings(ProcessSettings):
@@ -19,6 +21,14 @@ class RobotSettings(ProcessSettings):
     model_config = SettingsConfigDict(env_prefix="FLEETPOSE_ROBOT_")
     roles: ClassVar[tuple[str, ...]] = ("robot",)
     identified: ClassVar[Mapping[str, str]] = {"site": "site", "name": "name"}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """A robot without a name is called as its namespace is."""
+        if given.get("name") or not given.get("namespace"):
+            return given
+        return given | {"name": name_of(str(given["namespace"]))}
 
     name: Name = Field(description="the robot's name, unique in its site")
     site: Name = Field("demo", description="the fleet's site")
@@ -35,9 +45,13 @@ class RobotSettings(ProcessSettings):
         -1.0, description="wait so long for a router at the start; negative: for ever"
     )
     camera: CameraKind = Field(
-        description="rgbd, views, reconstruction, cloud, stereo, bag or synthetic"
+        description="rgbd, views, reconstruction, cloud, stereo, bag, ros or synthetic"
     )
-    data: str = Field("", description="folder, bag, video, device (or left,right), or endpoint")
+    data: str = Field(
+        "",
+        description="folder, bag, video, device (or left,right), or endpoint (ros: of the "
+        "robot's router)",
+    )
     calibration: Path | None = Field(None, description="stereo, rgbd: file; else beside the images")
     translation_unit: float | None = Field(
         None,
@@ -62,16 +76,28 @@ class RobotSettings(ProcessSettings):
         None,
         gt=0,
         le=1000,
-        description="two devices, bags: what is taken further apart is dropped; else 10 of two "
-        "eyes, 20 of colour and depth in a bag",
+        description="two devices, bags, ros: what is taken further apart is dropped; else 10 of "
+        "two eyes, 20 of colour and depth",
     )
-    namespace: str = Field("", description="bags: of the robot's topics, e.g. /r1; else all")
-    image: str = Field("", description="bags: the topic of colours; else by type and name")
-    depth: str = Field("", description="bags: the topic of depths; else by type and name")
-    left: str = Field("", description="bags: the topic of the left eye; else by type and name")
-    right: str = Field("", description="bags: the topic of the right eye; else by type and name")
-    cloud: str = Field("", description="bags: the topic of a cloud, in place of depths")
-    base: str = Field("base_link", description="bags: the frame of the robot's body in tf")
+    namespace: str = Field(
+        "",
+        description="bags, ros: of the robot's topics, e.g. /r1, else all; names the robot where "
+        "name does not",
+    )
+    image: str = Field("", description="bags, ros: the topic of colours; else by type and name")
+    depth: str = Field("", description="bags, ros: the topic of depths; else by type and name")
+    left: str = Field("", description="bags, ros: the topic of the left eye; else by type and name")
+    right: str = Field(
+        "", description="bags, ros: the topic of the right eye; else by type and name"
+    )
+    cloud: str = Field("", description="bags, ros: the topic of a cloud, in place of depths")
+    base: str = Field("base_link", description="bags, ros: the frame of the robot's body in tf")
+    up: UpSource = Field(
+        "auto",
+        description="bags, ros: what tells where up is: odom, imu (an accelerometer at rest), tf "
+        "(its uppermost frame), none, or auto (imu or odom, where they can)",
+    )
+    domain: int = Field(0, ge=0, le=232, description="ros: ROS_DOMAIN_ID")
     stamps: StampSource = Field(
         "header",
         description="bags: whose time counts, of the drivers (header) or the recorder (receive)",

@@ -116,6 +116,12 @@ def is_rectified(topic: str) -> bool:
     return "rect" in base_of(topic).rpartition("/")[2]
 
 
+def is_below(topic: str, namespace: str) -> bool:
+    """Whether a topic is in a namespace; all are in that without a name."""
+    slashed = f"/{namespace.strip('/')}"
+    return slashed == "/" or f"/{topic.lstrip('/')}/".startswith(f"{slashed}/")
+
+
 def is_depth(topic: str) -> bool:
     """Whether an image topic is one of depths, by its name."""
     return "depth" in topic.lower()
@@ -142,7 +148,7 @@ class _Topics:
         self.namespace = namespace.rstrip("/")
         self.frame_of = frame_of
         self._all = [topic for topic in topics if topic.count]
-        below = [t for t in self._all if self._is_below(t.name)]
+        below = [t for t in self._all if is_below(t.name, self.namespace)]
         self._of_robot = {topic.name: topic for topic in below}
         images = [topic.name for topic in below if topic.type in IMAGES]
         self.depths = [name for name in images if is_depth(name)]
@@ -150,10 +156,6 @@ class _Topics:
         self.lefts = [name for name in self.colours if self.right_of(name) is not None]
         self.clouds = self.of_type(CLOUD)
         self.infos = self.of_type(INFO)
-
-    def _is_below(self, name: str) -> bool:
-        slashed = f"/{self.namespace.lstrip('/')}"
-        return not self.namespace or f"/{name.lstrip('/')}/".startswith(f"{slashed}/")
 
     def of_type(self, *types: str) -> list[str]:
         return [name for name, topic in self._of_robot.items() if topic.type in types]

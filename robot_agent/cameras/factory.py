@@ -5,6 +5,7 @@ are named in `_OPTIONS`. Bundler's folders had a kind of their own, whose name g
 """
 
 import threading
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
@@ -20,6 +21,7 @@ _MODULES: dict[CameraKind, str] = {
     "cloud": "folders.cloud",
     "stereo": "stereo.matching",
     "bag": "bag.camera",
+    "ros": "ros.camera",
     "synthetic": "synthetic",
 }
 _OPTIONS = {
@@ -29,6 +31,7 @@ _OPTIONS = {
     "stereo": ("calibration", "video", "stop", "translation_unit"),
     "rgbd": ("calibration", "depth_scale"),
     "bag": ("calibration", "bag", "stop", "translation_unit"),
+    "ros": ("calibration", "ros", "stop", "translation_unit", "waiting"),
 }
 
 
@@ -47,6 +50,8 @@ def open_camera(
     translation_unit: float | None = None,
     depth_scale: float | None = None,
     bag: Any = None,
+    ros: Any = None,
+    waiting: Callable[[str], None] = lambda status: None,
 ) -> Camera:
     """Opens a camera.
 
@@ -58,12 +63,14 @@ def open_camera(
         view: posed views and reconstructions, the one view to take.
         metres_per_unit: reconstructions, whose scale is arbitrary, and clouds.
         axes: clouds only, `robot` or `optical`.
-        calibration: stereo, rgbd and bags, its file.
+        calibration: stereo, rgbd, bags and ros, its file.
         video: stereo only, `robot_agent.cameras.stereo.video.VideoSettings`.
-        stop: stereo and bags, ends the waiting for a device or the next frame.
-        translation_unit: stereo and bags, metres that one of the calibration's translation is.
+        stop: stereo, bags and ros, ends the waiting for a device or the next frame.
+        translation_unit: stereo, bags and ros, metres that one of the calibration's translation is.
         depth_scale: rgbd only, steps of its depth images per metre.
         bag: bags only, `robot_agent.cameras.bag.options.BagOptions`.
+        ros: live robots only, `robot_agent.cameras.ros.options.RosOptions`.
+        waiting: live robots only, is told at least once a second what is waited for.
 
     Raises:
         FleetPoseError: the source cannot be read or is not calibrated.
@@ -79,6 +86,8 @@ def open_camera(
         "translation_unit": translation_unit,
         "depth_scale": depth_scale,
         "bag": bag,
+        "ros": ros,
+        "waiting": waiting,
     }
     name = "reconstruction" if kind == "bundler" else kind
     module = import_module(f"fleetpose.robot_agent.cameras.{_MODULES[kind]}")

@@ -3,7 +3,7 @@
 from typing import Literal
 
 CameraKind = Literal[
-    "rgbd", "views", "reconstruction", "bundler", "cloud", "stereo", "bag", "synthetic"
+    "rgbd", "views", "reconstruction", "bundler", "cloud", "stereo", "bag", "ros", "synthetic"
 ]
 
 

@@ -74,7 +74,21 @@ def publisher_token(
     """
     kept = "" if depth == _DEFAULT_DEPTH else depth
     qos = f":{1 if latched else ''}:,{kept}:,:,:,,"
-    node = f"@ros2_lv/{domain}/{zid}/0/{entity}/MP/%/%/fleetpose"
+    return _token(domain, zid, entity, "MP", topic, type, hash, qos)
+
+
+def subscriber_token(domain: int, zid: str, entity: int, endpoint: Endpoint) -> str:
+    """The token by which nodes find a subscriber of ours: drivers that publish only what somebody
+    subscribes to look for it.
+    """
+    of = (endpoint.topic, endpoint.type, endpoint.hash or NO_HASH)
+    return _token(domain, zid, entity, "MS", *of, "2::,1:,:,:,,")
+
+
+def _token(
+    domain: int, zid: str, entity: int, kind: str, topic: str, type: str, hash: str, qos: str
+) -> str:
+    node = f"@ros2_lv/{domain}/{zid}/0/{entity}/{kind}/%/%/fleetpose"
     return f"{node}/{topic.replace('/', '%')}/{_dds_type(type)}/{hash}/{qos}"
 
 

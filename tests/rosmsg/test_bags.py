@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 from fleetpose.protocol.errors import CalibrationError, DataFolderError
 from fleetpose.robot_agent.__main__ import app
 from fleetpose.robot_agent.cameras.bag.camera import open_camera
-from fleetpose.robot_agent.cameras.bag.lenses import rig_of
 from fleetpose.robot_agent.cameras.bag.options import BagOptions
 from fleetpose.robot_agent.cameras.base import DepthImage, DisparityImage, ScatteredPoints
 from fleetpose.robot_agent.cameras.stereo.rectify import Rectifier
 from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
+from fleetpose.robot_agent.cameras.topics.lenses import rig_of
 from fleetpose.rosmsg.bag import Bag
 from fleetpose.rosmsg.camera_infos import camera_info
 from tests.data import shared_data

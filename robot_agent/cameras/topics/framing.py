@@ -9,12 +9,12 @@ import numpy.typing as npt
 from fleetpose.protocol.errors import CalibrationError
 from fleetpose.protocol.messages import Camera as CameraModel
 from fleetpose.protocol.messages import NoiseModel
-from fleetpose.robot_agent.cameras.bag.mounting import axes_rectified
 from fleetpose.robot_agent.cameras.base import DepthImage, Frame, Ranges, ScatteredPoints
 from fleetpose.robot_agent.cameras.folders.cloud import SCANNER_NOISE
 from fleetpose.robot_agent.cameras.folders.files import model_of
 from fleetpose.robot_agent.cameras.rgbd.recording import FURTHEST_M, KINECT_NOISE
 from fleetpose.robot_agent.cameras.stereo.matching import StereoMatcher
+from fleetpose.robot_agent.cameras.topics.mounting import axes_rectified
 from fleetpose.rosmsg.camera_infos import CameraInfo, rectifying_maps
 from fleetpose.rosmsg.clouds import xyz_of
 from fleetpose.rosmsg.depths import depth_m

@@ -1,4 +1,4 @@
-"""What infos of a bag say of the camera, or a calibration that is given in their place."""
+"""What infos say of the camera, or a calibration that is given in their place."""
 
 from pathlib import Path
 
@@ -6,11 +6,11 @@ import numpy as np
 import numpy.typing as npt
 
 from fleetpose.protocol.errors import CalibrationError
-from fleetpose.robot_agent.cameras.bag.mounting import axes_rectified
 from fleetpose.robot_agent.cameras.calibrations.lens import between_rectified, lens_model, sideways
 from fleetpose.robot_agent.cameras.calibrations.reading import read_rig_file
 from fleetpose.robot_agent.cameras.rgbd.intrinsics import read_intrinsics
 from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
+from fleetpose.robot_agent.cameras.topics.mounting import axes_rectified
 from fleetpose.rosmsg.camera_infos import CameraInfo
 
 Floats = npt.NDArray[np.float64]

@@ -28,10 +28,17 @@ class Mounting(NamedTuple):
     why_not: str = ""
 
 
-def mounting(tf: Tf, base: str, frame: str) -> Mounting:
-    """How a camera's frame hangs on the robot's body."""
+def mounting(tf: Tf, base: str, frame: str, whose: str) -> Mounting:
+    """How a camera's frame hangs on the robot's body.
+
+    Args:
+        tf: which frame hangs where.
+        base: the frame of the robot's body.
+        frame: of the camera.
+        whose: tf it is, in words.
+    """
     if not tf.parents:
-        return Mounting("", (), False, "the bag has no tf")
+        return Mounting("", (), False, f"{whose} has no tf")
     found = tf.find(base, near=frame)
     if found is None:
         known = ", ".join(sorted({*tf.parents, *tf.parents.values()})[:8])

@@ -1,0 +1,1 @@
+"""Cameras of robots that run ROS 2, over zenoh, without ROS."""

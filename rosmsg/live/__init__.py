@@ -1,0 +1,1 @@
+"""What a robot that runs shows of its topics: which there are, and what it is called."""
