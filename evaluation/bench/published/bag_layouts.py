@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fleetpose.evaluation.bench.bags.places import found
+from fleetpose.evaluation.bench.published.layouts import robot_name
 from fleetpose.evaluation.bench.published.sequences import RecordedSequence, Shot
 from fleetpose.evaluation.bench.published.truths import read_truth
 from fleetpose.protocol.errors import DataFolderError
@@ -50,14 +51,13 @@ class BagSequence(RecordedSequence):
     options: BagOptions = field(default_factory=BagOptions)
     calibration: Path | None = None
 
-    def frames(self, folder: Path) -> Iterator[Frame]:
-        """Its frames, as the robot's own camera reads them; nothing is written into the folder."""
+    def frames(self, folder: Path) -> Iterator[Frame | None]:
+        """See `RecordedSequence`; nothing is written into the folder."""
         wanted = {shot.stamp_ns for shot in self.shots}
         with closing(self.recording()) as recording:
             for moment in recording.moments():
-                frame = recording.frame(moment) if moment.stamp_ns in wanted else None
-                if frame is not None:
-                    yield frame
+                if moment.stamp_ns in wanted:
+                    yield recording.frame(moment)
 
     def recording(self) -> BagRecording:
         """Opens its bags.
@@ -114,8 +114,6 @@ def open_bags(
         for side, topic in (("left", known.left), ("right", known.right))
     }
     options = BagOptions(**eyes, stamps=stamps, max_skew_ms=None)
-    from fleetpose.evaluation.bench.published.layouts import robot_name
-
     own = _calibration_of(calibration, name)
     truth = read_truth(_truth_of(data, name, known.truths))
     empty = BagSequence(

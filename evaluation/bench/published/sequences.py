@@ -77,8 +77,9 @@ class RecordedSequence:
             for k, (a, b) in enumerate(pairwise(cuts))
         ]
 
-    def frames(self, folder: Path) -> Iterator[Frame]:
-        """Its frames, as the robot's camera reads them out of the folder that it gets.
+    def frames(self, folder: Path) -> Iterator[Frame | None]:
+        """A frame for each shot, None for a damaged one, as the robot's camera reads them out of
+        the folder that it gets.
 
         Raises:
             FleetPoseError: they cannot be read.
