@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from fleetpose.evaluation.options.building import told
 
@@ -10,7 +11,9 @@ from fleetpose.evaluation.options.building import told
 class BenchOptions:
     """A published benchmark in its own folders."""
 
-    layout: str = told("euroc, kitti, tum, 7scenes or replica.", ...)
+    layout: str = told(
+        "euroc, kitti, tum, 7scenes, replica; of bags s3e, kimera-multi, graco.", ...
+    )
     data: Path = told("Folder that the benchmark was unpacked into.", ...)
     robots: str = told(
         "Sequences, one for each robot, e.g. MH_01_easy,MH_02_easy; if not told, DATA is one.", ""
@@ -21,6 +24,13 @@ class BenchOptions:
         "with frames in turn.",
         True,
         "--in-turn/--interleaved",
+    )
+    stamps: Literal["header", "receive"] = told(
+        "Bags: whose time counts, of the drivers (header) or the recorder (receive).", "header"
+    )
+    calibration: Path | None = told(
+        "Bags without CameraInfo (S3E, GrAco): a calibration of both eyes, or a folder with one "
+        "called like each robot."
     )
     every: int | None = told(
         "Robots send each so-manieth frame; if not told, about two a second.", min=1

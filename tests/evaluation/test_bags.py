@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fleetpose.evaluation.bench.bags.command import found
+from fleetpose.evaluation.bench.bags.places import found
 from fleetpose.evaluation.bench.bags.reading import bars_of, read_variants
 from fleetpose.evaluation.bench.bags.scenes import Scene
 from fleetpose.evaluation.bench.bags.truth import has_truth, scene_of, stripped

@@ -84,7 +84,8 @@ def test_too_few_poses_have_no_error():
 @pytest.mark.parametrize(
     ("layout", "robots", "said"),
     [
-        ("s3e", "a", "ROS bags"),
+        ("s3e", "Alpha", "no bag there"),
+        ("graco", "", "name its robots"),
         ("laps", "a", "known are euroc"),
         ("tum", "none", "no folder"),
         ("tum", "fr1,fr1", "each once"),

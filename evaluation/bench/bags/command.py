@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from fleetpose.evaluation.bench.bags.live import Watched, watch
+from fleetpose.evaluation.bench.bags.places import found
 from fleetpose.evaluation.bench.bags.reading import Read, bars_of, read_variants
 from fleetpose.evaluation.bench.bags.scenes import Scene, walks
 from fleetpose.evaluation.bench.bags.truth import has_truth, scene_of, stripped
@@ -16,8 +17,6 @@ from fleetpose.evaluation.bench.bags.variants import Variant
 from fleetpose.evaluation.options.bags import BagsOptions
 from fleetpose.evaluation.report.bars import Bar, all_met, as_rows, print_bars
 from fleetpose.evaluation.report.output import output_folder, print_table, write_summary
-from fleetpose.protocol.errors import DataFolderError
-from fleetpose.rosmsg import METADATA, SUFFIXES
 
 LIMITS, WITH_ROS1 = (0.03, 1.0), (0.10, 2.0)  # metres, degrees
 PAIRS = {
@@ -51,30 +50,6 @@ def run(options: BagsOptions, out: Path) -> int:
     print_table("forms", tuple(vars(reads[0])), [tuple(vars(one).values()) for one in reads])
     print_bars("bags", bars)
     return 0 if all_met(bars) else 1
-
-
-def found(data: Sequence[Path]) -> list[Path]:
-    """The bags that are named, and those below folders that are none.
-
-    Raises:
-        DataFolderError: there are none.
-    """
-    bags: list[Path] = []
-    for place in data:
-        below = sorted(_below(place))
-        if not below:
-            raise DataFolderError(f"--data {place}: no bag there (.mcap, .db3, .bag, a folder)")
-        bags += below
-    return bags
-
-
-def _below(place: Path) -> list[Path]:
-    if place.is_file() or (place / METADATA).is_file():
-        return [place]
-    if not place.is_dir():
-        return []
-    inner = [bag for one in place.iterdir() if one.is_dir() for bag in _below(one)]
-    return inner + [one for one in place.iterdir() if one.suffix in SUFFIXES]
 
 
 def topics_bar(bags: Sequence[Path]) -> tuple[list[Bar], list[str]]:

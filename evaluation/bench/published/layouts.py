@@ -195,5 +195,3 @@ LAYOUTS = {
     "7scenes": Layout(_seven_scenes, 15),
     "replica": Layout(_replica, 15),
 }
-BAGS = ("s3e", "kimera-multi", "graco")
-"""Benchmarks that come as ROS bags."""

@@ -2,8 +2,8 @@
 its own jobs in its own order, so that a run tells the same each time.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from itertools import zip_longest
 from pathlib import Path
 
@@ -19,7 +19,6 @@ from fleetpose.protocol.codec import pack
 from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.messages import ViewName
 from fleetpose.robot_agent.cameras.base import Frame
-from fleetpose.robot_agent.cameras.factory import open_camera
 from fleetpose.robot_agent.features.keypoints import salient_of
 from fleetpose.robot_agent.features.packing import view_of
 from fleetpose.robot_agent.recent_views import kept_view
@@ -84,7 +83,7 @@ def walked(
         FleetPoseError: a camera cannot be read.
     """
     server, refused, lost = OfflineServer({}), 0, dict[str, int]()
-    walks = [_walk(robot, scratch / "robots" / robot.name) for robot in robots]
+    walks = [robot.frames(scratch / "robots" / robot.name) for robot in robots]
     wires = scratch / "wires"
     wires.mkdir(parents=True)
     with progress_bar() as bar:
@@ -98,15 +97,6 @@ def walked(
             bar.advance(task)
         server.settle(_JOBS_AT_END_PER_ROBOT * len(robots))  # places seen long ago, by another one
     return server, refused, lost
-
-
-def _walk(robot: RecordedSequence, folder: Path) -> Iterator[Frame]:
-    camera = open_camera(robot.camera, str(robot.stripped(folder)), "once")
-    try:
-        for shot, frame in zip(robot.shots, camera.frames(), strict=False):
-            yield replace(frame, stamp_ns=shot.stamp_ns)
-    finally:
-        camera.close()
 
 
 def _sent(
