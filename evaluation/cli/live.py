@@ -18,6 +18,7 @@ from fleetpose.evaluation.options.fleets import (
     WorldOptions,
 )
 from fleetpose.evaluation.options.recorded import Out
+from fleetpose.evaluation.options.ros import RosOptions
 
 app = typer.Typer()
 
@@ -118,6 +119,19 @@ def bags(options: BagsOptions, out: Out) -> None:
     from fleetpose.evaluation.bench.bags.command import run
 
     raise typer.Exit(run(options, out))
+
+
+@app.command()
+@of(RosOptions)
+def ros(options: RosOptions, out: Out) -> None:
+    """Run stand-ins for robots that run ROS 2 (rmw_zenoh as of Jazzy and of Humble, and behind
+    zenoh-bridge-ros2dds) with raw depth images at 30 Hz, real agents and a server; then each
+    robot's frames alone. Prints whether the bars are met: time to the first pose, megabytes a
+    second and the share of a core that an agent takes, and how far off the robots are.
+    """
+    from fleetpose.evaluation.system.ros.command import run
+
+    run(options, out)
 
 
 @app.command(hidden=True)

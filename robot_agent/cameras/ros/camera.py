@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 
 SILENT_S = 3.0
 _LOOK_S = 0.5
-_TOLD_EVERY_S = 30.0
+_FIRST_TOLD_S, _TOLD_EVERY_S = 10.0, 60.0
 
 
 class RosCamera:
@@ -140,11 +140,12 @@ class _Taken:
     def __init__(self, network: RosNetwork) -> None:
         self._network = network
         self._since_s, self._bytes, self._pairs = time.monotonic(), network.taken_bytes, 0
+        self._every_s = _FIRST_TOLD_S
 
     def note(self, moment: Moment[Recorded]) -> None:
         self._pairs += 1
         seconds = time.monotonic() - self._since_s
-        if seconds < _TOLD_EVERY_S:
+        if seconds < self._every_s:
             return
         megabytes = 1e-6 * (self._network.taken_bytes - self._bytes)
         log.info(
@@ -152,11 +153,8 @@ class _Taken:
             *(self._pairs, megabytes / seconds, 1e-6 * moment.skew_ns),
             *(1e-6 * (time.time_ns() - moment.stamp_ns), sum(self._network.drops.values())),
         )
-        self._since_s, self._bytes, self._pairs = (
-            time.monotonic(),
-            self._network.taken_bytes,
-            0,
-        )
+        self._since_s, self._bytes = time.monotonic(), self._network.taken_bytes
+        self._pairs, self._every_s = 0, _TOLD_EVERY_S
 
 
 def open_camera(
