@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fleetpose.hmi_client.assist.pick_assist import Expected
+from fleetpose.hmi_client.desk.hints import Hints
 from fleetpose.hmi_client.model.records import Entry, PixelUV
 from fleetpose.hmi_client.tui.drawing import palette
 from fleetpose.hmi_client.tui.drawing.cells import MARKER_COLOURS, HalfBlocks, Window
-from fleetpose.hmi_client.tui.drawing.hints import Hints
 from fleetpose.protocol.messages import ViewName
 
 CROSS_RGB, FAINT_RGB, DEPTH_RGB = 0xFF3030, 0x808080, 0xF0E442

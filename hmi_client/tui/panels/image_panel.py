@@ -11,6 +11,7 @@ from textual.message import Message
 from textual.strip import Strip
 
 from fleetpose.hmi_client.assist.pick_assist import Expected, PickAssist
+from fleetpose.hmi_client.desk.hints import LETTERS, MOST, Hints
 from fleetpose.hmi_client.errors import OperatorError, PictureError
 from fleetpose.hmi_client.model.jpeg import frame_of
 from fleetpose.hmi_client.model.picture_decoder import decoded
@@ -28,7 +29,6 @@ from fleetpose.hmi_client.tui.drawing.cells import (
     sample,
     steadied,
 )
-from fleetpose.hmi_client.tui.drawing.hints import LETTERS, MOST, Hints
 from fleetpose.hmi_client.tui.drawing.overlay import Overlay
 from fleetpose.hmi_client.tui.drawing.palette import style
 from fleetpose.hmi_client.tui.panels.panel import Panel
