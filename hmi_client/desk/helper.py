@@ -1,4 +1,4 @@
-"""Work that would hold a hand up is done beside it; what comes of it is taken when it is looked at."""
+"""Work that would hold a hand up is done beside it, in a thread."""
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait

@@ -82,6 +82,7 @@ COMMANDS: tuple[Command, ...] = (
         ("undo", "u", "Undo", "take the last step back", ""),
         ("redo", "r", "Redo", "do again what was taken back", ""),
         ("erase", "x", "Erase", "erase the point near the cursor, or that of the list", ""),
+        ("look", "d", "Look", "show the point that does not fit the others", "h"),
         ("cancel", "c escape", "Cancel", "drop half a pick, leave suggestions", ""),
         ("freeze", "f", "Freeze", "hold both images still, or let them go on", ""),
         ("maximise", "m", "Max", "the images only, or all panels", ""),

@@ -62,6 +62,14 @@ class HalfPick:
 
 
 @dataclass(frozen=True)
+class Deed:
+    """What was taken back or done again, in words, and in which pair."""
+
+    pair: Pair | None
+    text: str
+
+
+@dataclass(frozen=True)
 class Entry:
     """One line of the list of correspondences of a pair.
 

@@ -2,9 +2,9 @@
 
 from hmi_fakes import alignment, fleet
 
-from fleetpose.hmi_client.assist.prompts import describe_cell
 from fleetpose.hmi_client.cli.reports import Watcher, sentence, status_text
 from fleetpose.hmi_client.cli.why import why_record, why_text
+from fleetpose.hmi_client.desk.words import describe_cell
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.protocol.messages import Alarm, PairCell
 
