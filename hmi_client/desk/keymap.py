@@ -114,7 +114,7 @@ COMMANDS: tuple[Command, ...] = (
     *_of(
         "matrix",
         ("select", "enter", "Select", "look at the pair under the cursor", ""),
-        ("quantity", "t", "Quantity", "sigma, residuals, overlap, age, verdicts or doubt", ""),
+        ("quantity", "t", "Quantity", "residual, pose sigma, overlap, age, verdicts or doubt", ""),
     ),
     *_of(
         "map",

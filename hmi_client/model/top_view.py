@@ -8,7 +8,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from fleetpose.hmi_client.model.matrix import natural
+from fleetpose.hmi_client.model.records import natural
 from fleetpose.protocol.messages import RobotPose
 
 Floats = npt.NDArray[np.float64]

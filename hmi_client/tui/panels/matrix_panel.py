@@ -239,7 +239,9 @@ def cell_style(cell: Cell, selected: bool, at_cursor: bool) -> Style:
     background = "cursor" if at_cursor else "back"
     if cell.bold:
         return style("bright", background, True)
-    return style("axes" if cell.text == SELF else TONES.get(cell.verdict, "faint"), background)
+    value = cell.level is not None and cell.verdict is None
+    tone = "axes" if cell.text == SELF else "text" if value else TONES.get(cell.verdict, "faint")
+    return style(tone, background)
 
 
 def shorten(name: str, length: int) -> str:
