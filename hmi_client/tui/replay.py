@@ -7,9 +7,9 @@ from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.strip import Strip
 
+from fleetpose.hmi_client.desk.keymap import KeyMap
 from fleetpose.hmi_client.recording.player import PlayClock, PlayedSession, Player
 from fleetpose.hmi_client.tui.app import FleetApp
-from fleetpose.hmi_client.tui.bindings import KeyMap
 from fleetpose.hmi_client.tui.drawing import palette
 from fleetpose.hmi_client.tui.drawing.palette import style
 from fleetpose.hmi_client.tui.panels.panel import PanelMixin, line
@@ -73,6 +73,7 @@ class ReplayApp(FleetApp):
         self._thread.start()
 
     def on_unmount(self) -> None:
+        super().on_unmount()
         self._stop.set()
         self._thread.join(timeout=5.0)
 

@@ -12,13 +12,13 @@ from contextlib import ExitStack, contextmanager, redirect_stderr
 from pathlib import Path
 
 from fleetpose.hmi_client.cli.connection import DEFAULT_SITE, Connection
+from fleetpose.hmi_client.desk.keymap import KeyMap
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.network.client import Client
 from fleetpose.hmi_client.network.shared import SharedLink
 from fleetpose.hmi_client.network.update_log import UpdateLog
 from fleetpose.hmi_client.tui.app import FleetApp
-from fleetpose.hmi_client.tui.bindings import KeyMap
 from fleetpose.hmi_client.tui.drawing import palette
 from fleetpose.hmi_client.tui.terminal.driver import PatientDriver
 from fleetpose.protocol.keys import checked_name
@@ -73,9 +73,11 @@ def run_screen(
             lambda: next((c.failure for c in clients.values() if c.failure), None),
             PatientDriver,
             keymap,
+            {w.site: f"of {w.site} at {', '.join(w.connect)}" for w in sites},
         )
         palette.has(app.console.color_system)
         app.run()
+    print("\n".join(app.farewell()))
     if recorder is not None:
         print(recorder.report())
 
@@ -163,18 +165,14 @@ async def _draw(
     async with app.run_test(size=size) as pilot:
         await pilot.pause(0.1)
         if session.pair is not None:
-            app.images[0].focus()
+            app.view.give_keys(app.images[0])
         if maximise:
-            app.action_maximise()
+            app.view.do("maximise")
         while not is_complete(session) and time.monotonic() < end:
             await pilot.pause(0.1)
         for panel in app.panels:
             panel.repaint()
         await pilot.pause(0.3)
-        for _ in range(20):  # the footer is composed anew after each change of focus
-            if app.query("FooterKey"):
-                break
-            await pilot.pause(0.1)
         return app.export_screenshot(title="fleetpose"), is_complete(session)
 
 
@@ -193,7 +191,7 @@ def keymap_of(path: Path | None) -> KeyMap:
     config = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
     usual = Path(config) / "fleetpose" / "keys.toml"
     if path is None and not usual.exists():
-        return KeyMap({})
+        return KeyMap()
     return KeyMap.read(path or usual)
 
 
