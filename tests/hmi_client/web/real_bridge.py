@@ -89,12 +89,18 @@ class RealBridge:
         self.served, self.tokens = served, tokens
         self.url, self.token = served.url, next(iter(tokens))
         self.pages: list[PageOfTest] = []
+        self._opened = contextlib.ExitStack()
+
+    def close(self) -> None:
+        """Closes all pages."""
+        self._opened.close()
 
     def page(self, token: str | None = None, acks: bool = True, **options: Any) -> PageOfTest:
         scheme, _, rest = self.url.partition("://")
         wss = "wss" if scheme == "https" else "ws"
         origin = options.pop("origin", self.url.rstrip("/"))
-        socket = connect(f"{wss}://{rest}ws", origin=origin, compression=None, **options)
+        opening = connect(f"{wss}://{rest}ws", origin=origin, compression=None, **options)
+        socket = self._opened.enter_context(opening)
         self.pages.append(PageOfTest(socket, self.token if token is None else token, acks))
         return self.pages[-1]
 
@@ -134,8 +140,7 @@ def real_bridge(
     try:
         yield bridge
     finally:
-        for page in bridge.pages:
-            page.close()
+        bridge.close()
         served.stop()
         thread.join(10)
         assert not failed, failed
