@@ -54,7 +54,7 @@ function dots() {
 const dotRow = (marks) => (marks.length ? el("span", "dots", ...marks.map((mark) => el("i", mark))) : null);
 
 function facts(step) {
-  const list = el("dl", "facts", ...step.facts.slice(0, 3).map(([label, text]) => el("div", "", el("dt", "", label || " "), el("dd", "", text))));
+  const list = el("dl", "facts", ...step.facts.slice(0, 3).map(([label, text]) => el("div", "", label ? el("dt", "", label) : null, el("dd", "", text))));
   if (step.legs) list.append(el("div", "legs-fact", el("dt", "", "Where it is broken"), el("dd", "legs", ...legs(step.legs))));
   return list;
 }

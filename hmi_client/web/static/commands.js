@@ -20,6 +20,7 @@ export function run(id, args = {}) {
   const message = { do: id, ...aim(id), ...(offered?.args ?? {}), ...args };
   if (message.do === "pick" && !imageOf(message.side)) return tell("There is no image to pick in yet.");
   if (id === "pick") echo(message);
+  if (id === "go") state.dismissed = "";
   return send(message);
 }
 
@@ -29,11 +30,19 @@ export function tell(text) {
   return false;
 }
 
+/** Labels that were used, or left, do not come back until they are asked for anew. */
+export function dismissHints() {
+  state.dismissed = JSON.stringify(state.assist.hints);
+  state.assist = { ...state.assist, hints: [] };
+  put("typed", "");
+  changed("assist");
+}
+
 const imageOf = (side) => state.images[side];
 
 /** Where a command works: the cursor of the active image. */
 function aim(id) {
-  if (!["pick", "snap", "move", "erase"].includes(id)) return {};
+  if (!["pick", "snap", "move", "erase", "go"].includes(id)) return {};
   const side = state.active;
   const place = { side, pixel: state.cursors[side] };
   const view = imageOf(side)?.view;

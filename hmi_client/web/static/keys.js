@@ -2,27 +2,24 @@
 // shown, and Esc gives it back, so that nobody is caught in a panel.
 
 import { state, watch, changed, put } from "./store.js";
-import { run, moveCursor } from "./commands.js";
+import { run, moveCursor, dismissHints } from "./commands.js";
 import { primaryAction } from "./bar.js";
 
-const NAMES = {
-  " ": "space", Enter: "enter", Tab: "tab", Escape: "escape", "?": "question_mark", "[": "left_square_bracket", "]": "right_square_bracket",
-  "+": "plus", "=": "equals_sign", "-": "minus", ",": "comma", ".": "full_stop", "/": "slash", ArrowUp: "up", ArrowDown: "down", ArrowLeft: "left", ArrowRight: "right",
-};
-const PRINTED = {
-  space: "Space", enter: "Enter", tab: "Tab", "shift+tab": "⇧Tab", escape: "Esc", question_mark: "?", left_square_bracket: "[", right_square_bracket: "]",
-  plus: "+", minus: "-", equals_sign: "=", comma: ",", full_stop: ".",
-};
+const NAMES = { " ": "space", ArrowUp: "up", ArrowDown: "down", ArrowLeft: "left", ArrowRight: "right" };
+const PRINTED = { space: "Space", enter: "Enter", tab: "Tab", "shift+tab": "⇧Tab", escape: "Esc" };
 const ARROWS = { up: [0, -1], down: [0, 1], left: [-1, 0], right: [1, 0] };
 let released = null; // the suggestion whose Tab was given back
 
 /** A key as it is printed on a keyboard. */
-export const printed = (key) => PRINTED[key] ?? (key.length === 1 ? key.toUpperCase() : key);
+export function printed(key) {
+  if (PRINTED[key]) return PRINTED[key];
+  return /^[A-Z]$/.test(key) ? `⇧${key}` : key.length === 1 ? key.toUpperCase() : key;
+}
 
 export const entries = () => state.welcome?.keymap ?? [];
 
 /** The keys of an entry as a list. */
-export const keysOf = (entry) => (Array.isArray(entry.keys) ? entry.keys : String(entry.keys).split(","));
+export const keysOf = (entry) => entry.keys;
 
 /** The first key of a command, printed; empty if it has none. */
 export function keyOf(id) {
@@ -99,7 +96,9 @@ function nudge([dx, dy], step, place, places) {
 /** Letters of a label bring the cross to its place. */
 function hinted(e, key) {
   const { hints } = state.assist;
-  if (!hints.length || key.length !== 1) return false;
+  if (!hints.length) return false;
+  if (key === "escape") dismissHints();
+  if (key.length !== 1) return key === "escape";
   const typed = state.typed + key.toLowerCase();
   const left = hints.filter((h) => h.label.toLowerCase().startsWith(typed));
   e.preventDefault();
@@ -111,6 +110,5 @@ function hinted(e, key) {
 
 function goTo(hint) {
   moveCursor(hint.side, hint.pixel);
-  state.assist = { ...state.assist, hints: [] };
-  state.typed = "";
+  dismissHints();
 }

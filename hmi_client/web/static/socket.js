@@ -61,6 +61,7 @@ const HEARD = {
   welcome: (m) => { Object.assign(state.link, { open: true, refused: "" }); wait = FIRST_WAIT_MS; put("welcome", m); changed("link"); },
   names: (m) => { state.origin = m.origin; if (m.names.join() !== state.names.join()) forget(); put("names", m.names); },
   event: addEvent,
+  assist: (m) => put("assist", JSON.stringify(m.hints) === state.dismissed ? { ...m, hints: [] } : m),
   health: (m) => { state.link.healthAt = performance.now(); put("health", m); changed("link"); },
   questions: (m) => put("questions", m.list),
   pong: (m) => { state.link.ping_ms = performance.now() - m.at; changed("link"); },
@@ -71,7 +72,7 @@ const HEARD = {
 function hearText(message) {
   const own = HEARD[message.t];
   if (own) own(message);
-  else if (["step", "list", "assist", "pair", "why", "clock"].includes(message.t)) put(message.t, message);
+  else if (["step", "list", "pair", "why", "clock"].includes(message.t)) put(message.t, message);
 }
 
 /** Indices mean other robots now. */

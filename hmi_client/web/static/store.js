@@ -9,7 +9,7 @@ export const state = {
   welcome: null, names: [], origin: null, step: null, list: NO_LIST, assist: NO_ASSIST, pair: null,
   questions: [], events: [], notice: null, why: null, health: null, clock: null,
   matrix: null, poses: null, clouds: new Map(), images: [null, null], cursors: [null, null],
-  active: 0, current: null, mode: "pick", theme: "dark", panel: "map", marksHidden: false, typed: "",
+  active: 0, current: null, mode: "pick", theme: "dark", panel: "map", marksHidden: false, typed: "", dismissed: "",
   link: { open: false, refused: "", heardAt: performance.now(), healthAt: performance.now(), ping_ms: null },
 };
 
