@@ -17,6 +17,7 @@ function follow() {
   once("pair", list.pair, () => { if (last.pairSeen) dropImages(); last.pairSeen = true; state.current = null; });
   once("half", list.half, () => activate(list.half ? 1 - list.half.side : state.active));
   if (state.images[assist.side]) once("guess", assist.expected, () => assist.expected?.pixel && moveCursor(assist.side, assist.expected.pixel));
+  if (list.half && state.images[list.half.side]) once("halfAt", list.half, () => moveCursor(list.half.side, list.half.pixel, false));
   if (state.images[0] && state.images[1]) {
     once("suggestion", assist.suggestion, () => assist.suggestion && both(assist.suggestion, 1));
     once("wrong", assist.wrong, () => assist.wrong && toPoint(assist.wrong.id, assist.wrong.side));

@@ -42,6 +42,7 @@ const show = (name) => { const id = { list: "pair", map: "map", matrix: "matrix"
 
 function restore() {
   const { theme, panel } = state.welcome.settings ?? {};
+  saved = JSON.stringify({ theme: theme ?? state.theme, panel: panel ?? state.panel });
   if (theme) setTheme(theme);
   if (panel) put("panel", panel);
   wanted = "";

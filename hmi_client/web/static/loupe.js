@@ -58,7 +58,7 @@ export class Loupe {
     const at = ([u, v]) => [centre[0] + (u - middle[0]) * LOUPE_ZOOM, centre[1] + (v - middle[1]) * LOUPE_ZOOM];
     ctx.imageSmoothingEnabled = false;
     ctx.drawImage(image.bitmap, ...at([-0.5, -0.5]), image.width * LOUPE_ZOOM, image.height * LOUPE_ZOOM);
-    if (!state.marksHidden) loupeCross(ctx, centre, LOUPE_ZOOM);
+    if (!state.marksHidden && !top) loupeCross(ctx, centre, LOUPE_ZOOM);
     drawMarks(ctx, marksOf(this.side), at, width, false);
     ctx.restore();
   }

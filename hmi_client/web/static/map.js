@@ -138,17 +138,18 @@ function links(ctx, at, located) {
 
 function robot(ctx, p, at, s, chosen) {
   const [x, y] = at(p.x, p.y), paint = colour(chosen ? "red-text" : "good");
+  const size = state.names.length > 24 && !chosen ? 2.5 : 4.5;
   shown.push({ x, y, name: p.name });
   if (view.ellipses && Number.isFinite(p.xx)) ellipse(ctx, [x, y], p, s);
   ctx.fillStyle = ctx.strokeStyle = paint;
   ctx.globalAlpha = 0.35;
   ctx.beginPath();
   ctx.moveTo(x, y);
-  for (const side of [-0.35, 0.35]) ctx.lineTo(x + 17 * Math.cos(p.heading + side), y - 17 * Math.sin(p.heading + side));
+  for (const side of [-0.35, 0.35]) ctx.lineTo(x + 4 * size * Math.cos(p.heading + side), y - 4 * size * Math.sin(p.heading + side));
   ctx.fill();
   ctx.globalAlpha = 1;
   ctx.beginPath();
-  ctx.arc(x, y, 4.5, 0, 2 * Math.PI);
+  ctx.arc(x, y, size, 0, 2 * Math.PI);
   ctx.fill();
   if (p.name !== state.origin) return;
   ctx.beginPath();

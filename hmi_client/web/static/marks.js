@@ -41,8 +41,8 @@ export function drawMarks(ctx, marks, at, width, captions = true) {
 }
 
 function stroked(ctx, paint, wide, path, dash = []) {
-  ctx.setLineDash(dash);
   for (const [style, w] of [["#000c", wide + 2], [paint, wide]]) {
+    ctx.setLineDash(style === paint ? dash : []); // dashes lie on a dark line, to be seen on any picture
     ctx.strokeStyle = style;
     ctx.lineWidth = w;
     ctx.beginPath();
@@ -98,7 +98,7 @@ function caption(ctx, [x, y], text, paint, width) {
 function drawExpected(ctx, { pixel, line }, at, width, captions) {
   const paint = colour("guess-mark");
   const ends = (line ?? []).map(at);
-  if (ends.length > 1) stroked(ctx, paint, 1.6, () => ends.forEach(([x, y], k) => (k ? ctx.lineTo(x, y) : ctx.moveTo(x, y))), [2, 4]);
+  if (ends.length > 1) stroked(ctx, paint, 1.6, () => ends.forEach(([x, y], k) => (k ? ctx.lineTo(x, y) : ctx.moveTo(x, y))), [3, 3]);
   if (!pixel) return;
   const place = at(pixel);
   diamond(ctx, place, paint);

@@ -32,8 +32,8 @@ export class Raster {
     this.depths.fill(Infinity);
   }
 
-  /** `points` in the fleet's frame (x, y, z by threes), `colours` as bytes by threes. */
-  cloud({ right: [rx, ry], up: [ux, uy, uz], back: [bx, by, bz], eye: [ex, ey, ez], focal, cx, cy }, points, colours) {
+  /** `dark` background or light, on which colours are halved; `points` in the fleet's frame (x, y, z by threes), `colours` as bytes by threes. */
+  cloud(dark, { right: [rx, ry], up: [ux, uy, uz], back: [bx, by, bz], eye: [ex, ey, ez], focal, cx, cy }, points, colours) {
     const { pixels, depths } = this, { width, height } = this.picture;
     for (let k = 0; k < points.length; k += 3) {
       const dx = points[k] - ex, dy = points[k + 1] - ey, dz = points[k + 2] - ez;
@@ -45,7 +45,8 @@ export class Raster {
       const at = y * width + x;
       if (depth >= depths[at]) continue;
       depths[at] = depth;
-      const paint = 0xff000000 | (colours[k + 2] << 16) | (colours[k + 1] << 8) | colours[k];
+      const tone = (colours[k + 2] << 16) | (colours[k + 1] << 8) | colours[k];
+      const paint = 0xff000000 | (dark ? tone : (tone >> 1) & 0x7f7f7f);
       pixels[at] = paint;
       if (scale > 60 && depth < depths[at + 1]) { depths[at + 1] = depth; pixels[at + 1] = paint; }
     }

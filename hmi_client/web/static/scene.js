@@ -70,11 +70,25 @@ function look(robots) {
   const places = robots.map((r) => r.at);
   for (const { fleet } of state.clouds.values()) for (let k = 0; k < fleet.length; k += 300) places.push([fleet[k], fleet[k + 1], fleet[k + 2]]);
   if (!places.length) return;
-  const target = [0, 1, 2].map((k) => median(places.map((p) => p[k])));
-  const reach = places.map((p) => Math.hypot(...p.map((x, k) => x - target[k]))).sort((a, b) => a - b)[Math.floor(0.95 * (places.length - 1))];
+  const target = [0, 1, 2].map((k) => (median(places.map((p) => p[k])) + (robots.length ? median(robots.map((r) => r.at[k])) : 0)) / 2);
   const ahead = robots.reduce((sum, r) => [sum[0] + Math.cos(r.heading), sum[1] + Math.sin(r.heading)], [0, 0]);
   const azimuth = Math.hypot(...ahead) > 0.3 * robots.length ? Math.atan2(ahead[1], ahead[0]) + Math.PI + 0.25 : start.azimuth;
-  Object.assign(view, { target, azimuth, elevation: start.elevation, distance: 2.1 * Math.max(reach, 0.5) });
+  Object.assign(view, { target, azimuth, elevation: start.elevation, distance: 1 });
+  while (view.distance < 1e4 && seen(places) < 0.97 * places.length) view.distance *= 1.15;
+  while (view.distance < 1e4 && seen(robots.map((r) => r.at)) < robots.length) view.distance *= 1.1;
+}
+
+/** How many places are on the screen, off its edge. */
+function seen(places) {
+  const camera = cameraOf(view, surface.width, surface.height);
+  const inside = ([x, y]) => x > 24 && x < surface.width - 24 && y > 12 && y < surface.height - 34;
+  return places.filter((place) => { const at = project(camera, place); return at && inside(at); }).length;
+}
+
+/** Pyramids that do not hide their neighbours. */
+function sizeOf(robots) {
+  const gap = (a) => Math.min(...robots.map((b) => (b === a ? Infinity : Math.hypot(...a.at.map((x, k) => x - b.at[k])))));
+  return Math.min(view.distance / 22, robots.length > 1 ? 0.8 * median(robots.map(gap)) : Infinity);
 }
 
 const median = (values) => values.sort((a, b) => a - b)[values.length >> 1];
@@ -97,7 +111,7 @@ function draw(ctx, width, height) {
   points(ctx, camera, width, height);
   floor(ctx, camera);
   links(ctx, camera, robots);
-  const names = selected() ?? [], size = view.distance / 22;
+  const names = selected() ?? [], size = sizeOf(robots);
   for (const robot of robots) pyramid(ctx, camera, robot, size, colour(names.includes(robot.name) ? "red-text" : "good"));
   labels(ctx, camera, robots, names);
 }
@@ -107,7 +121,7 @@ function points(ctx, camera, width, height) {
   raster.resize(scratch, w, h);
   const base = parseInt(colour("scene").slice(1), 16);
   raster.clear(0xff000000 | ((base & 255) << 16) | (base & 0xff00) | (base >> 16));
-  for (const { fleet, colours } of state.clouds.values()) raster.cloud(camera, fleet, colours);
+  for (const { fleet, colours } of state.clouds.values()) raster.cloud(state.theme === "dark", camera, fleet, colours);
   if (scratch.canvas.width !== w || scratch.canvas.height !== h) [scratch.canvas.width, scratch.canvas.height] = [w, h];
   scratch.putImageData(raster.picture, 0, 0);
   ctx.imageSmoothingEnabled = false;
