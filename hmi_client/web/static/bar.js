@@ -54,10 +54,13 @@ function dots() {
 const dotRow = (marks) => (marks.length ? el("span", "dots", ...marks.map((mark) => el("i", mark))) : null);
 
 function facts(step) {
-  const list = el("dl", "facts", ...step.facts.slice(0, 3).map(([label, text]) => el("div", "", label ? el("dt", "", label) : null, el("dd", "", text))));
+  const list = el("dl", "facts", ...step.facts.slice(0, 3).map(([label, text]) => el("div", "", label ? el("dt", "", label) : null, el("dd", "", kept(text)))));
   if (step.legs) list.append(el("div", "legs-fact", el("dt", "", "Where it is broken"), el("dd", "legs", ...legs(step.legs))));
   return list;
 }
+
+/** A number and its unit stay on one line. */
+const kept = (text) => text.replace(/(\d) (?=(?:%|m|cm|s|px)(?:[ .,;)]|$))/g, "$1\u00a0");
 
 /** page - hmi-client web - pose-server, with the broken leg named. */
 function legs([page, server]) {

@@ -3,7 +3,7 @@
 
 import { el, colour, Surface } from "./dom.js";
 
-const EDGE = 34; // CSS pixels for names at the left and the top
+const EDGE = 31; // CSS pixels for names at the left and the top
 
 /** A canvas with `draw(matrix, names, chosen, cursor)`; calls `choose(a, b)` and `hover([a, b])`. */
 export class HeatMap {

@@ -26,6 +26,9 @@
   if (what === "cut") {
     return texts.filter((node) => node.scrollWidth > node.clientWidth + 1 && node.clientWidth > 0 && getComputedStyle(node).overflowX !== "visible" && getComputedStyle(node).overflowX !== "auto").map(name);
   }
+  if (what === "scroll bars") {
+    return [document.scrollingElement, document.body].filter((node) => node.scrollHeight > innerHeight || node.scrollWidth > innerWidth).map(name);
+  }
   return [...document.querySelectorAll("button, [role=gridcell], select, input")].filter(shown).flatMap((node) => {
     const { width, height } = node.getBoundingClientRect();
     const cell = node.getAttribute("role") === "gridcell"; // a matrix of eight is as wide as its panel
