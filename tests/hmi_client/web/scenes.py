@@ -48,7 +48,14 @@ def names(n: int) -> list[str]:
 
 def welcome(settings: dict[str, Any] | None = None) -> Frame:
     keys = [
-        {"id": id, "place": place, "keys": keys.split(), "label": label, "does": does, "shown": True}
+        {
+            "id": id,
+            "place": place,
+            "keys": keys.split(),
+            "label": label,
+            "does": does,
+            "shown": True,
+        }
         for place, id, keys, label, does in KEYMAP
     ]
     return {"t": "welcome", "v": 1, "operator": "kim", "site": "demo", "version": "0", "replay": False,
@@ -158,11 +165,20 @@ def listing(pair: tuple[int, int] | None, points: list[dict], **more: Any) -> Fr
 
 
 def assist(**more: Any) -> Frame:
-    told = {"t": "assist", "side": 1, "expected": None, "suggestion": None, "hints": [], "wrong": None}
+    told = {
+        "t": "assist",
+        "side": 1,
+        "expected": None,
+        "suggestion": None,
+        "hints": [],
+        "wrong": None,
+    }
     return told | more
 
 
-def fleet(n: int = 8, chosen: tuple[int, int] | None = (2, 7), lost: tuple[int, ...] = (7,)) -> list[Frame]:
+def fleet(
+    n: int = 8, chosen: tuple[int, int] | None = (2, 7), lost: tuple[int, ...] = (7,)
+) -> list[Frame]:
     """Everything but step, list, assistance and images."""
     asked = [{"i": f"r{i + 1}", "j": f"r{j + 1}", "gain": gain, "why": why} for i, j, gain, why in (
         (*(chosen or (5, 6)), 0.42, "joins robots to the fleet"), (1, 5, 0.041, "seem to fit, but nothing confirms it"),
@@ -170,7 +186,11 @@ def fleet(n: int = 8, chosen: tuple[int, int] | None = (2, 7), lost: tuple[int, 
     pair = chosen or (0, 1)
     told = {"t": "pair", "i": pair[0], "j": pair[1], "verdict": "ambiguous", "sigma_cm": None,
             "sentence": "Two poses fit about equally well", "overlap": 0.26, "joined": False}  # fmt: skip
-    events = ["server started with 2 workers", "r5 joined: 6 of 7 robots are located", f"r{pair[0] + 1} - r{pair[1] + 1}: ambiguous"]
+    events = [
+        "server started with 2 workers",
+        "r5 joined: 6 of 7 robots are located",
+        f"r{pair[0] + 1} - r{pair[1] + 1}: ambiguous",
+    ]
     clouds = [cloud(k, n) for k in range(n) if k not in lost] if n <= 24 else []
     return [
         {"t": "names", "names": names(n), "origin": names(n)[0 if n > 24 else 3]}, matrix(n, chosen), poses(n, lost), *clouds,
@@ -203,7 +223,15 @@ def suggestion() -> list[Frame]:
 
 def wrong() -> list[Frame]:
     bad = point(2, P2[0], (321.0, 459.5), "outlier", residual_m=3.5, reason="3.5 m off")
-    told = {"id": 2, "side": 1, "clicked": [321.0, 459.5], "fits": [203.2, 397.0], "off_m": 3.5, "off_px": 133, "text": "3.5 m off"}
+    told = {
+        "id": 2,
+        "side": 1,
+        "clicked": [321.0, 459.5],
+        "fits": [203.2, 397.0],
+        "off_m": 3.5,
+        "off_px": 133,
+        "text": "3.5 m off",
+    }
     return [
         *fleet(), listing((2, 7), [point(1, *P1), bad, point(3, *P3)], undo="point 3 in r3 and r8"), image(0, 41), image(1, 38),
         step("warn", "Point 2 does not fit the others: 3.5 m off", ["What to do: if the ◇ shows the same thing as r3, move it there; else erase it"],
@@ -221,12 +249,22 @@ def gone() -> list[Frame]:
 
 
 def idle() -> list[Frame]:
-    done = step("done", "All 8 robots are located.", ["Least sure: r7, to 0.62 m"], act("why", "Look at r7", "Y", robot="r7"))
+    done = step(
+        "done",
+        "All 8 robots are located.",
+        ["Least sure: r7, to 0.62 m"],
+        act("why", "Look at r7", "Y", robot="r7"),
+    )
     return [*fleet(8, None, ()), listing(None, [], words="", frozen=False), done, assist()]
 
 
 def without_image() -> list[Frame]:
-    waits = step("wait", "Waiting for the image of r8", ["asked for it 6 s ago"], act("next", "Next question", "N", True))
+    waits = step(
+        "wait",
+        "Waiting for the image of r8",
+        ["asked for it 6 s ago"],
+        act("next", "Next question", "N", True),
+    )
     return [*fleet(), listing((2, 7), [], frozen=False), image(0, 41), waits, assist()]
 
 
