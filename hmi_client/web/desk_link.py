@@ -26,7 +26,7 @@ from fleetpose.protocol.errors import FleetPoseError
 
 log = logging.getLogger(__name__)
 
-BREATH_S = 0.01  # between two looks at what has changed
+BREATH_S = 0.02  # between two looks at what has changed
 LOOK_S = 0.25  # at the longest: silence has no event
 FLEET_S = 0.5  # between two matrices, and two maps
 HEALTH_S = 1.0
@@ -228,7 +228,7 @@ class DeskLink:
         changed |= put("step", told.step(desk))
         if fresh(_LIST):
             changed |= put("list", told.points(desk)) | put("pair", told.pair(desk))
-        changed |= put("assist", told.assist(desk))
+        changed |= put("assist", told.assist(desk)) | put("clock", self.seat.clock())
         self._seen = revisions
         changed |= self._look_at_fleet(desk) | self._look_at_clouds(desk)
         return self._say(desk) | self._look_at_health(desk) | changed
@@ -265,9 +265,6 @@ class DeskLink:
             return False
         self._health_s = now
         self.outlook.put("health", health, always=True)
-        clock = self.seat.clock()
-        if clock is not None:
-            self.outlook.put("clock", clock)
         return True
 
     def _say(self, desk: Desk) -> bool:

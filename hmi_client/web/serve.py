@@ -1,6 +1,7 @@
 """`hmi-client web` as a process: desks of operators, and a server for their pages."""
 
 import logging
+import signal
 import threading
 import webbrowser
 from collections import Counter
@@ -189,9 +190,13 @@ class Served:
             ssl_keyfile=None if self._reach.key is None else str(self._reach.key),
         )
         self._server = uvicorn.Server(config)
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, signal.default_int_handler)  # uvicorn ends, then we do
         try:
             ready()
             self._server.run(sockets=[self._socket])
+        except KeyboardInterrupt:
+            pass
         finally:
             self._socket.close()
             desks.close()
