@@ -92,6 +92,10 @@ class CorrespondenceModel:
     def redo(self) -> Deed | None:
         return self._step(self._undone, self._done, forward=True)
 
+    def undoable(self) -> tuple[str | None, str | None]:
+        """What undo and redo would do, in words."""
+        return tuple(self._told(s[-1]).text if s else None for s in (self._done, self._undone))  # type: ignore[return-value]
+
     def dismiss(self, pair: Pair) -> bool:
         """Forgets the rejected picks of a pair; whether there were any."""
         return bool(self._rejected.pop(pair, None))

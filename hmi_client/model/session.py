@@ -264,6 +264,12 @@ class OperatorSession(FleetModel):
         """Does again what was undone last, and tells which step that was."""
         return self._do(self._book.redo)
 
+    def undoable(self) -> tuple[str | None, str | None]:
+        """What undo and redo would do now, in words; none where there is nothing."""
+        with self._changed:
+            undo, redo = self._book.undoable()
+            return ("half a point" if self.half is not None else undo), redo
+
     # ---- what is to be sent ----------------------------------------------------------------------
 
     def open_updates(self) -> tuple[OperatorUpdate, ...]:
