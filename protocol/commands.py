@@ -23,12 +23,13 @@ MODULES = {  # that an extra brings, as they are imported; Open3D is done withou
     "metrics": ("prometheus_client",),
     "record": ("mcap", "foxglove_schemas_protobuf", "mcap_protobuf"),
     "hmi": ("cv2", "textual", "rich", "mcap"),
+    "web": ("starlette", "uvicorn", "websockets"),
     "rerun": ("rerun",),
     "ros": ("rosbags", "mcap", "xxhash"),
     "deploy": ("cryptography",),
     "eval": ("psutil", "DracoPy"),
 }
-PARTS = {"eval": ("robot", "server", "hmi")}  # extras that an extra brings
+PARTS = {"eval": ("robot", "server", "hmi"), "web": ("hmi",)}  # extras that an extra brings
 
 
 def run_command(app: typer.Typer, name: str, extras: str, unreachable: int = REFUSED) -> None:

@@ -147,7 +147,7 @@ def test_bad_input_exits_with_2_and_says_what_to_do(hmi, serve):
 def test_status_shows_robots_and_questions(hmi, serve):
     serve()
     output = hmi("status")
-    assert "4 of 6 robots located, anchor r1" in output
+    assert "4 of 6 robots located, origin r1" in output
     assert "alive, but no pair of it could be aligned" in output
     assert "r5 - r6" in output and "it would join two parts of the fleet" in output
 
