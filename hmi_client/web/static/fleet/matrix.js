@@ -200,9 +200,9 @@ function tell(at) {
   if (a === b || !state.matrix || a >= state.matrix.n || b >= state.matrix.n || a < 0 || b < 0) return;
   const pair = `${nameOf(Math.min(a, b))} – ${nameOf(Math.max(a, b))}`,
     text = ` ${cellWords(state.matrix.at(a, b))}`;
-  if (readout.dataset.words === pair + text) return;
-  readout.dataset.words = pair + text;
-  const own = chosen && chosen.includes(a) && chosen.includes(b);
+  const own = !!chosen?.includes(a) && chosen.includes(b);
+  if (readout.dataset.words === pair + text + own) return;
+  readout.dataset.words = pair + text + own;
   readout.replaceChildren(el("b", own ? "red" : "", pair), text);
   if (panel.classList.contains("heat")) heat.element.setAttribute("aria-label", pair + text);
 }

@@ -76,7 +76,7 @@ function facts(step) {
     "facts",
     ...step.facts
       .slice(0, 3)
-      .map(([label, text]) => el("div", "", label ? el("dt", "", label) : null, el("dd", "", kept(text)))),
+      .map(([label, text]) => el("div", "", label ? el("dt", "", label) : null, el("dd", "", kept(sentence(text))))),
   );
   if (step.legs)
     list.append(
@@ -85,6 +85,8 @@ function facts(step) {
   return list;
 }
 
+/** A first letter is large, except of a robot's name. */
+const sentence = (text) => text.replace(/^[a-z]/, (c) => (/^[a-z]\d/.test(text) ? c : c.toUpperCase()));
 /** A number and its unit stay on one line. */
 const kept = (text) => text.replace(/(\d) (?=(?:%|m|cm|s|px)(?:[ .,;)]|$))/g, "$1\u00a0");
 
@@ -104,8 +106,8 @@ function legs([page, server]) {
 
 function actionButton(action) {
   const taken = action.do === "accept" && !state.assist.suggestion; // Tab is the browser's until a suggestion is shown
-  const key = taken ? "Enter" : action.key || keyOf(action.do);
-  const node = button(`button${action.primary ? " primary" : ""}`, action.label, key, () =>
+  const key = taken ? "Enter" : keyOf(action.do) || action.key;
+  const node = button(`button${action.primary ? " primary" : ""}`, sentence(action.label), key, () =>
     run(action.do, action.args ?? {}),
   );
   node.dataset.deed = action.do;

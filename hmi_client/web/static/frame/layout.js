@@ -91,7 +91,7 @@ function arrange() {
   const idle = !selected() && state.mode !== "max";
   const mode = state.mode === "pick" && idle ? "idle" : state.mode;
   main.className = `${mode}${main.classList.contains("stale") ? " stale" : ""}`;
-  const big = mode === "idle" && !small.matches;
+  const big = mode === "idle";
   place(scene, big ? main : left);
   place(
     events,
@@ -102,7 +102,7 @@ function arrange() {
   const bad = state.list.points.filter((p) => p.status === "outlier" || p.status === "rejected").length;
   document.querySelector("[data-tab=pair] .badge").textContent = bad || "";
   for (const id of ["map", "matrix", "pair", "scene"])
-    document.getElementById(id).classList.toggle("on", id === state.panel);
+    document.getElementById(id).classList.toggle("on", id === (big && state.panel === "scene" ? "map" : state.panel));
   for (const id of ["matrix", "pair"])
     place(
       document.getElementById(id),

@@ -64,7 +64,7 @@ function drawVerdict() {
   const others = (state.list.others ?? []).map(nameOf);
   const lines = [
     numbers,
-    state.list.words,
+    state.list.words === told?.sentence ? "" : state.list.words,
     others.length ? `${others.join(" and ")} ${others.length === 1 ? "is" : "are"} here too` : "",
   ].filter(Boolean);
   verdict.replaceChildren(

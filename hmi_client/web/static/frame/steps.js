@@ -19,7 +19,7 @@ export function stepNow() {
     kick: step.kick ?? "",
     dots: true,
     facts: (step.facts ?? []).map(fact),
-    actions: (step.actions ?? []).slice(0, 3),
+    actions: [...(step.actions ?? [])].sort((a, b) => Boolean(b.primary) - Boolean(a.primary)).slice(0, 3),
   };
 }
 
