@@ -388,6 +388,7 @@ def test_what_is_drawn_under_the_cross_is_the_pixel_that_is_picked(opened, bridg
         box = page.locator(f"{LEFT} canvas.{canvas}").bounding_box()
         scale = 8.0 if canvas == "loupe" else min(box["width"] / 960, box["height"] / 640)
         seen = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert seen is not None
         top, left = int(box["y"] * ratio), int(box["x"] * ratio)
         part = seen[top : top + int(box["height"] * ratio), left : left + int(box["width"] * ratio)]
         spot = brightest(part, (60 if canvas == "loupe" else 28) * ratio)
