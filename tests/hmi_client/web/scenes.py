@@ -1,5 +1,6 @@
 """What a bridge says in each state of the operator's page: frames by the page's contract."""
 
+import functools
 import math
 import struct
 from typing import Any
@@ -93,6 +94,7 @@ def health(**changed: Any) -> Frame:
     return told | changed
 
 
+@functools.cache
 def image(side: int, view: int) -> bytes:
     """A scene of tiles with a white block on a grey field around `MARK`."""
     rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH]
@@ -141,6 +143,7 @@ def poses(n: int, lost: tuple[int, ...] = ()) -> bytes:
     return struct.pack("<BBHI", 3, 0, n, 0) + rows.tobytes()
 
 
+@functools.cache
 def cloud(k: int, n: int) -> bytes:
     """3000 points of a wall 14 m ahead, in the robot's frame."""
     x, y, heading = places(n)[k]
