@@ -9,8 +9,9 @@ import contextlib
 import json
 import logging
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
 
+import anyio
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from fleetpose.hmi_client.web import frames, outlook, told
@@ -69,18 +70,18 @@ class Page:
         self._own.append(told.text_of(self._link.welcome()))
         self._link.join(self)
         self._woken.set()
-        sending = asyncio.create_task(self._send_for_ever())
-        hearing = asyncio.create_task(self._hear_for_ever())
         try:
-            done, _ = await asyncio.wait((sending, hearing), return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-                    task.result()
+            async with anyio.create_task_group() as both:
+
+                async def until_gone(work: Callable[[], Awaitable[None]]) -> None:
+                    with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+                        await work()
+                    both.cancel_scope.cancel()
+
+                both.start_soon(until_gone, self._send_for_ever)
+                both.start_soon(until_gone, self._hear_for_ever)
         finally:
             self._link.leave(self)
-            for task in (sending, hearing):
-                task.cancel()
-            await asyncio.gather(sending, hearing, return_exceptions=True)
 
     # ---- hearing ---------------------------------------------------------------------------------
 

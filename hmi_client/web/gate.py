@@ -3,6 +3,7 @@
 import hmac
 import ipaddress
 import os
+import re
 import secrets
 import socket
 import time
@@ -31,12 +32,11 @@ class Address:
         Raises:
             OperatorError: it is none.
         """
-        host, _, port = text.rpartition(":") if not text.endswith("]") else (text, "", "")
-        host, port = (host, port) if host else (text, str(_PORT))
-        host = host.removeprefix("[").removesuffix("]")
-        if not host or not port.isdecimal() or int(port) > 65535:
+        found = re.fullmatch(r"(?:\[([0-9a-fA-F:.]+)\]|([^:\[\]\s]+))(?::(\d{1,5}))?", text)
+        host, port = (found[1] or found[2], int(found[3] or _PORT)) if found else ("", 0)
+        if not host or port > 65535:
             raise OperatorError(f"--listen {text}: write HOST:PORT, such as 127.0.0.1:{_PORT}")
-        return cls(host, int(port))
+        return cls(host, port)
 
     @property
     def is_loopback(self) -> bool:

@@ -231,8 +231,10 @@ def _point(
 def _half(desk: Desk, n: int) -> Frame:
     half = desk.session.half
     assert half is not None
-    place, depth = [None, None], [None, None]
-    place[half.side], depth[half.side] = _px(half.pixel), _depth(desk, half.view, half.pixel)
+    place: list[list[float] | None] = [None, None]
+    depth: list[float | None] = [None, None]
+    place[half.side] = _px(half.pixel)
+    depth[half.side] = _depth(desk, half.view, half.pixel)
     return {
         "n": n,
         "id": None,

@@ -62,9 +62,9 @@ def client(link, counts):
 
 
 def test_every_answer_tells_the_browser_to_load_nothing_from_elsewhere(client):
-    for path in ("/static/none.js", "/nothing"):
+    for path, status in (("/", 200), ("/static/main.js", 200), ("/nothing", 404)):
         answer = client.get(path)
-        assert answer.status_code == 404
+        assert answer.status_code == status
         assert {name: answer.headers[name] for name in HEADERS} == HEADERS
     refused = client.get("/", headers={"host": "evil.example:8642"})
     assert {name: refused.headers[name] for name in HEADERS} == HEADERS
@@ -93,14 +93,14 @@ def test_pages_are_only_read(client):
     ["http://evil.example", "null", None, "http://127.0.0.1:8643", "https://127.0.0.1:8642", ""],
 )
 def test_only_pages_of_this_address_open_the_websocket(client, counts, origin):
-    headers = {} if origin is None else {"origin": origin}
+    headers = {"host": HOST} | ({} if origin is None else {"origin": origin})
     with pytest.raises(WebSocketDisconnect), client.websocket_connect("/ws", headers=headers):
         pass
     assert counts["refused"] == 1
 
 
 def opened(client):
-    return client.websocket_connect("/ws", headers={"origin": ORIGIN})
+    return client.websocket_connect("/ws", headers={"origin": ORIGIN, "host": HOST})
 
 
 @pytest.mark.parametrize(
@@ -207,7 +207,7 @@ def test_beyond_this_machine_token_file_and_certificate_are_needed(tmp_path, add
     file = tmp_path / "file"
     file.touch()
     for given in ((None, None, None), (file, None, None), (None, file, file)):
-        with pytest.raises(OperatorError, match="--token-file.*--certificate.*ssh -L 8642"):
+        with pytest.raises(OperatorError, match=r"--token-file.*--certificate.*ssh -L 8642"):
             check_reach(Address.of(address), *given)
     check_reach(Address.of(address), file, file, file)
     check_reach(Address.of("127.0.0.1:8642"), None, None, None)
