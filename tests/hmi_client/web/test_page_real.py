@@ -44,8 +44,8 @@ def test_two_clicks_in_the_browser_become_a_correspondence_of_the_server(serve, 
         page.keyboard.press("Space")
         _until(page, lambda: page.inner_text(f"{RIGHT} .tag") == "click the same point here")
         page.click(f"{RIGHT} canvas.loupe", position={"x": 60, "y": 60})
-        _until(page, lambda: "confirmed" in page.inner_text("footer .kept"))
-        assert page.locator("#pair .say.confirmed").count() == 1
+        _until(page, lambda: page.inner_text("footer .kept") == "✓ all 1 click confirmed")
+        _until(page, lambda: page.locator("#pair .say.confirmed").count() == 1)
         if shots := os.environ.get("FLEETPOSE_SHOTS"):
             page.screenshot(path=str(Path(shots) / "real.png"))
         browser.close()
