@@ -165,6 +165,7 @@ def demo(
     robots: Annotated[int, typer.Option(min=2, help="How many.")] = 6,
     seconds: Annotated[float, typer.Option(help="At most, without a screen.")] = 90,
     headless: Annotated[bool, typer.Option("--headless", help="Without a screen.")] = False,
+    web: Annotated[bool, typer.Option("--web", help="The page in a browser, no screen.")] = False,
     pictures: Annotated[
         Path | None, typer.Option(help="Folder for pictures of screen and map; no screen then.")
     ] = None,
@@ -172,8 +173,9 @@ def demo(
     """Run a fleet in the synthetic world: on a terminal with the operator's screen."""
     from fleetpose.evaluation.system.demo import run, without_screen
 
-    alone = without_screen(headless) or pictures is not None
-    raise typer.Exit(run(robots, seconds, alone, pictures))
+    alone = pictures is not None or (not web and without_screen(headless))
+    face = "none" if alone else "web" if web else "text"
+    raise typer.Exit(run(robots, seconds, face, pictures))
 
 
 @app.command()
