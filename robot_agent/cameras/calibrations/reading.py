@@ -14,6 +14,7 @@ from fleetpose.robot_agent.cameras.calibrations import (
     datasets,
     devices,
     kalibr,
+    listed,
     named,
     orbslam,
     ros,
@@ -35,17 +36,23 @@ OTHER_FILES = (
 USUAL_BASELINE_M = 0.8
 """Wider rigs are believed only where the unit of their translation was told: KITTI's car, the
 widest that is used much, has 0.54 m; calibrations in a chessboard's squares begin at 0.9."""
+FURTHEST_CENTRE = 0.18
+"""Share of the image's side by which the optical axis may be off its middle where no file says the
+size; half the size has 0.25, and crops of data sets have up to 0.1."""
 _SIDES = (
     ("left", "right"),
     ("cam0", "cam1"),
     ("camera0", "camera1"),
+    ("Left", "Right"),
+    ("LEFT", "RIGHT"),
+    ("infra1", "infra2"),
     ("_l.", "_r."),
     ("_0.", "_1."),
 )
 TOOLS = (
     "OpenCV (also with intrinsics.yml and extrinsics.yml), Kalibr, OpenVINS, ROS camera_info "
-    "(left.yaml with right.yaml), ORB-SLAM2 and 3, EuRoC sensor.yaml, VINS-Fusion, Basalt, KITTI, "
-    "Middlebury, Stereolabs ZED, Luxonis OAK"
+    "(left.yaml with right.yaml), ORB-SLAM2 and 3, EuRoC sensor.yaml, Kimera-VIO, OKVIS, maplab, "
+    "VINS-Fusion, Basalt, KITTI, Middlebury, ETH3D, Stereolabs ZED, Luxonis OAK"
 )
 
 
@@ -80,7 +87,10 @@ def read_rig_file(path: Path, size: Size | None = None, unit_m: float | None = N
     """
     if not path.is_file():
         raise CalibrationError(f"there is no calibration {path}")
-    pair = _read(path, read_tree(path), size)
+    if datasets.is_eth3d(path):
+        pair = datasets.read_eth3d(path)
+    else:
+        pair = _read(path, read_tree(path), size)
     return rig_of_pair(pair, str(path), size, unit_m)
 
 
@@ -108,6 +118,9 @@ def rig_of_pair(
     Raises:
         CalibrationError: it cannot be.
     """
+    if pair.size is None and size is not None:
+        check_centre(pair.left.K, size, where)
+        check_centre(pair.right.K, size, where)
     size = pair.size or size
     if size is None:
         raise CalibrationError(f"{where} lacks width and height of the images")
@@ -131,6 +144,23 @@ def rig_of_pair(
         raise CalibrationError(f"{where}: {error}") from error
 
 
+def check_centre(K: np.ndarray, size: Size, where: str) -> None:
+    """What a file that does not say its images' size may give away: its middle is not theirs.
+
+    Raises:
+        CalibrationError: the optical axis is far from the middle.
+    """
+    cx, cy = float(K[0, 2]), float(K[1, 2])
+    off = max(abs(cx / size[0] - 0.5), abs(cy / size[1] - 0.5))
+    if off > FURTHEST_CENTRE and cx > 0 and cy > 0:
+        raise CalibrationError(
+            f"{where} has its optical axis at {cx:.0f}, {cy:.0f}, as images of about "
+            f"{2 * cx:.0f}x{2 * cy:.0f} have, and these are {size[0]}x{size[1]}: scale fx, fy, cx "
+            "and cy to their size, or write the size that it was made at into it (width, height) "
+            "if that is theirs"
+        )
+
+
 def _check_unit(t: np.ndarray, unit_m: float | None) -> None:
     baseline = float(np.linalg.norm(t))
     if unit_m is None and baseline > USUAL_BASELINE_M:
@@ -151,6 +181,7 @@ def _read(path: Path, content: Mapping[str, Any], size: Size | None) -> StereoPa
         (datasets.is_middlebury, lambda: datasets.read_middlebury(content, where)),
         (datasets.is_kitti, lambda: datasets.read_kitti(content, where, _is_colour(path))),
         (vio.is_basalt, lambda: vio.read_basalt(content, where)),
+        (listed.recognises, lambda: listed.read(content, where)),
         (vio.is_vins, lambda: _vins(path, content)),
         (kalibr.recognises, lambda: kalibr.read(content, where)),
         (orbslam.recognises, lambda: orbslam.read(content, where)),
@@ -196,7 +227,7 @@ def _right_of(path: Path, tool: str) -> Mapping[str, Any]:
             return read_tree(partner)
     raise CalibrationError(
         f"{path} ({tool}) is of one eye: put the right one's beside it"
-        + (f", as {tried[0]}" if tried else ", and give left.yaml with right.yaml")
+        + (f", as {tried[0]}" if tried else ": left.yaml with right.yaml, or cam0/ with cam1/")
     )
 
 

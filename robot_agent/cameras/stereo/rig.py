@@ -99,11 +99,16 @@ def _check_pinhole(name: str, K: Floats, size: tuple[int, int]) -> None:
     largest = max(size)
     if not 0 < largest <= 16384:
         raise CalibrationError(f"images of {size[0]}x{size[1]} px: give width and height")
+    if min(K[0, 0], K[1, 1]) < 0:
+        raise CalibrationError(
+            f"{name} has fx {K[0, 0]:g} and fy {K[1, 1]:g}: a focal length below 0 (a way of "
+            "turning an axis round) is none: write it without the minus"
+        )
     inside = np.isfinite(K).all() and 0 < K[0, 2] < size[0] and 0 < K[1, 2] < size[1]
     if not inside or K[0, 0] <= 0 or K[1, 1] <= 0 or K[2].tolist() != [0, 0, 1] or K[1, 0] != 0:
         raise CalibrationError(
-            f"{name} is no pinhole matrix of a {size[0]}x{size[1]} image: "
-            "it needs [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels"
+            f"{name} is no pinhole matrix of a {size[0]}x{size[1]} image: it needs [[fx, 0, cx], "
+            f"[0, fy, cy], [0, 0, 1]] in pixels, and has {K.tolist()}"
         )
     if not (0.05 * largest < min(K[0, 0], K[1, 1]) and max(K[0, 0], K[1, 1]) < 200 * largest):
         raise CalibrationError(
