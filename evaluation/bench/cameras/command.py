@@ -4,7 +4,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from fleetpose.evaluation.bench.cameras import calibrations
+from fleetpose.evaluation.bench.cameras import calibrations, cases
 from fleetpose.evaluation.bench.cameras.bars import Bar
 from fleetpose.evaluation.report.output import output_folder, print_table, write_csv, write_summary
 
@@ -33,6 +33,7 @@ def run(faults: Path | None, data: Path | None, out: Path | None) -> bool:
 
 def bars_of(scratch: Path, faults: Path | None, data: Path | None) -> Iterator[Bar]:
     """The rows, each as soon as it is measured."""
+    yield cases.bar(scratch / "cases", faults)
     yield calibrations.bar(scratch / "calibrations")
 
 
