@@ -92,7 +92,9 @@ def check_rig(pairs: list[ImagePair], rig: StereoRig, known: KnownLength | None 
     rectifier = matcher.rectifier
     images = [rectified(rectifier, pair) for pair in pairs]
     matches = match_pairs(images)
-    fit = fit_rig(matches, rectifier.K, rig.size) if len(matches.left) > 6 else _no_fit(matches)
+    fit = (
+        fit_rig(matches, rectifier.K, rectifier.size) if len(matches.left) > 6 else _no_fit(matches)
+    )
     findings = rig_findings(matches, fit, rectifier)
     parts, T_right_left = [], None
     if len(findings) > 2:  # else there is no fit to believe

@@ -4,12 +4,11 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from fleetpose.evaluation.bench.cameras import stereo_variants, tables
+from fleetpose.evaluation.bench.cameras import lost, stereo_variants, tables
 from fleetpose.evaluation.bench.cameras.bars import Attempt, Bar
-from fleetpose.evaluation.bench.cameras.scene import median_off
+from fleetpose.evaluation.bench.cameras.scene import median_off, seen_with
 from fleetpose.evaluation.bench.cameras.variants import Variant
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.robot_agent.cameras.base import DepthImage, DisparityImage, Frame
@@ -37,6 +36,7 @@ def bar(scratch: Path, faults: Path | None) -> Bar:
         tried(variant, scratch / variant.name)
         for variant in (*stereo_variants.VARIANTS, *tables.VARIANTS)
     ]
+    attempts += lost.attempts(scratch / "lost")
     if faults is not None:
         attempts += [one for case in sorted(faults.iterdir()) for one in _case(case)]
     return Bar("a faulty folders", attempts, unit="right or refused")
@@ -82,7 +82,8 @@ def depth_of(frame: Frame) -> np.ndarray:
 
 def _off(frame: Frame, true_m: np.ndarray) -> float:
     height, width = frame.image.shape[:2]
-    true_m = cv2.resize(true_m, (width, height), interpolation=cv2.INTER_NEAREST)
+    if true_m.shape == (480, 640):
+        true_m = seen_with(np.asarray(true_m, np.float32), frame.model.K, (width, height))
     return median_off(depth_of(frame), np.asarray(true_m, np.float32))
 
 

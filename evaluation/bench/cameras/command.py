@@ -4,7 +4,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from fleetpose.evaluation.bench.cameras import calibrations, cases
+from fleetpose.evaluation.bench.cameras import calibrations, cases, rigs
 from fleetpose.evaluation.bench.cameras.bars import Bar
 from fleetpose.evaluation.report.output import output_folder, print_table, write_csv, write_summary
 
@@ -34,6 +34,7 @@ def run(faults: Path | None, data: Path | None, out: Path | None) -> bool:
 def bars_of(scratch: Path, faults: Path | None, data: Path | None) -> Iterator[Bar]:
     """The rows, each as soon as it is measured."""
     yield cases.bar(scratch / "cases", faults)
+    yield rigs.bar(data)
     yield calibrations.bar(scratch / "calibrations")
 
 

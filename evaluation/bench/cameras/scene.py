@@ -1,4 +1,4 @@
-"""A small scene with a chessboard, as any stereo rig or depth camera sees it, with its true depth."""
+"""A small scene with a chessboard, as a stereo rig sees it, with its true depth."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -73,6 +73,22 @@ def median_off(depth_m: npt.NDArray[np.float32], true_m: npt.NDArray[np.float32]
     if both.mean() < 0.1:
         return float("inf")
     return float(abs(np.median(depth_m[both] / true_m[both]) - 1))
+
+
+def seen_with(depth_m: npt.NDArray[np.float32], K: Floats, size: tuple[int, int]) -> Floats:
+    """The rig's true depth (H, W) as an equal camera with other intrinsics sees it."""
+    pixels = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1]), [1.0]), -1)
+    places = pixels.reshape(-1, 3) @ (RIG.K_left @ np.linalg.inv(K)).T
+    places = places[:, :2].reshape(size[1], size[0], 2).astype(np.float32)
+    found = cv2.remap(
+        depth_m,
+        places,
+        None,
+        cv2.INTER_NEAREST,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=np.nan,  # pyright: ignore[reportArgumentType, reportCallIssue]
+    )
+    return np.asarray(found, np.float64)
 
 
 def save(path: Path, image: npt.NDArray[np.generic]) -> None:

@@ -1,7 +1,6 @@
 """Stereo folders as people have them: other units, sizes, lenses, names, lost images."""
 
 import json
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,7 +12,6 @@ from fleetpose.evaluation.bench.cameras.scene import RIG, Shot, content, half, s
 from fleetpose.evaluation.bench.cameras.variants import Variant
 
 Depth = npt.NDArray[np.float32]
-_FIRST_NS, _STEP_NS = 1403636579763555584, 50_000_000
 _SIZE = {"width": RIG.size[0], "height": RIG.size[1]}
 
 
@@ -66,29 +64,9 @@ def _fisheye(folder: Path, wide: bool, column: bool) -> Depth:
             folder / side / "0.png", cv2.remap(getattr(shot, side), places, None, cv2.INTER_LINEAR)
         )  # pyright: ignore[reportArgumentType, reportCallIssue]
     said = D.reshape(-1, 1).tolist() if column else D.tolist()
-    _said(folder, content(**_SIZE) | {"K1": K.tolist(), "K2": K.tolist(), "D1": said, "D2": said})
+    matrices = {"K1": K.tolist(), "K2": K.tolist(), "D1": said, "D2": said}
+    _said(folder, content(**_SIZE) | matrices)
     return shot.depth
-
-
-def _lost(folder: Path, names: str, left_lost: int, right_lost: int, skew_ns: int = 0) -> Depth:
-    """Six pairs, of which each eye has lost one. Each pair shows a scene of its own brightness, and
-    those that do not belong together have no depth in common.
-    """
-    shot = seen()
-    shift = np.array([[1, 0, 0], [0, 1, 0]], np.float64)
-    for n in range(6):
-        stamp = _FIRST_NS + n * _STEP_NS
-        shift[1, 2] = 15 * n - 40
-        for side, lost, late in (("left", left_lost, 0), ("right", right_lost, skew_ns)):
-            if n == lost:
-                continue
-            moved = cv2.warpAffine(getattr(shot, side), shift, RIG.size)
-            ns = stamp + late
-            name = names.format(n=n + 8, ns=ns, side=side, us=ns // 1000, s=f"{ns / 1e9:.6f}")
-            save(folder / side / f"{name}.png", moved)
-    _said(folder, content(**_SIZE))
-    depth = cv2.warpAffine(shot.depth, shift * 0 + [[1, 0, 0], [0, 1, 0]], RIG.size)
-    return np.where(np.abs(np.arange(480) - 240)[:, None] < 150, np.nan, depth) * np.nan + 0
 
 
 def _swapped(folder: Path) -> Depth:
@@ -143,10 +121,9 @@ def _rotated(folder: Path) -> Depth:
         save(folder / side / "0.png", turned)
     f, cx, cy = RIG.K_left[0, 0], RIG.K_left[0, 2], RIG.K_left[1, 2]
     K = [[f, 0, 479 - cy], [0, f, cx], [0, 0, 1]]
-    rig = replace(RIG, T_right_left=RIG.T_right_left)
-    said = content(rig, width=480, height=640) | {"K1": K, "K2": K, "T": [0.0, -0.5, 0.0]}
+    said = content(width=480, height=640) | {"K1": K, "K2": K, "T": [0.0, -0.5, 0.0]}
     _said(folder, said)
-    return np.asarray(cv2.rotate(shot.depth, cv2.ROTATE_90_CLOCKWISE), np.float32)
+    return shot.depth  # its frames are turned back
 
 
 _UNITS = (("mm", 0.001), ("cm", 0.01), ("squares_of_15_cm", 0.15), ("squares_of_3_cm", 0.03))

@@ -20,7 +20,7 @@ from fleetpose.robot_agent.cameras.calibrations import (
     ros,
     vio,
 )
-from fleetpose.robot_agent.cameras.calibrations.lens import StereoPair
+from fleetpose.robot_agent.cameras.calibrations.lens import StereoPair, check_centre
 from fleetpose.robot_agent.cameras.calibrations.tree import read_tree
 from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
 
@@ -36,9 +36,6 @@ OTHER_FILES = (
 USUAL_BASELINE_M = 0.8
 """Wider rigs are believed only where the unit of their translation was told: KITTI's car, the
 widest that is used much, has 0.54 m; calibrations in a chessboard's squares begin at 0.9."""
-FURTHEST_CENTRE = 0.18
-"""Share of the image's side by which the optical axis may be off its middle where no file says the
-size; half the size has 0.25, and crops of data sets have up to 0.1."""
 _SIDES = (
     ("left", "right"),
     ("cam0", "cam1"),
@@ -142,23 +139,6 @@ def rig_of_pair(
         )
     except CalibrationError as error:
         raise CalibrationError(f"{where}: {error}") from error
-
-
-def check_centre(K: np.ndarray, size: Size, where: str) -> None:
-    """What a file that does not say its images' size may give away: its middle is not theirs.
-
-    Raises:
-        CalibrationError: the optical axis is far from the middle.
-    """
-    cx, cy = float(K[0, 2]), float(K[1, 2])
-    off = max(abs(cx / size[0] - 0.5), abs(cy / size[1] - 0.5))
-    if off > FURTHEST_CENTRE and cx > 0 and cy > 0:
-        raise CalibrationError(
-            f"{where} has its optical axis at {cx:.0f}, {cy:.0f}, as images of about "
-            f"{2 * cx:.0f}x{2 * cy:.0f} have, and these are {size[0]}x{size[1]}: scale fx, fy, cx "
-            "and cy to their size, or write the size that it was made at into it (width, height) "
-            "if that is theirs"
-        )
 
 
 def _check_unit(t: np.ndarray, unit_m: float | None) -> None:

@@ -58,6 +58,8 @@ def paired_already(path: Path) -> list[tuple[Path, Path]]:
 def _times(path: Path) -> list[tuple[float, Path]]:
     rows = []
     for number, words in _rows(path):
+        if not rows and words[0][:1].isalpha():
+            continue  # a header without its mark
         try:
             rows.append((_seconds(words[0]), path.parent / words[1]))
         except (ValueError, IndexError) as error:
