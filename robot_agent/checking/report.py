@@ -1,12 +1,13 @@
 """The whole check of a rig: from pairs of images to a verdict in words and numbers."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from fleetpose.protocol.errors import CalibrationError
 from fleetpose.robot_agent.cameras.stereo.matching import StereoMatcher
 from fleetpose.robot_agent.cameras.stereo.pairs import ImagePair
 from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
@@ -88,6 +89,32 @@ def check_rig(pairs: list[ImagePair], rig: StereoRig, known: KnownLength | None 
     """
     if not pairs:
         raise CheckError("the source gave no pair of images")
+    report = _checked(pairs, rig, known)
+    if report.verdict == "does not fit" and (said := _of_another_lens(pairs, rig, known)):
+        return replace(report, sentence=f"{said}; {report.sentence}")
+    return report
+
+
+def _of_another_lens(pairs: list[ImagePair], rig: StereoRig, known: KnownLength | None) -> str:
+    """What to write if the same numbers fit as those of the other model of lenses, else empty."""
+    D = [np.ravel(one)[:4] for one in (rig.D_left, rig.D_right)]
+    if not all(one.any() for one in D) or any(one.size < 4 for one in D):
+        return ""
+    other, name = ("normal", "radtan") if rig.lens == "fisheye" else ("fisheye", "equidistant")
+    try:
+        turned = replace(rig, lens=other, D_left=D[0], D_right=D[1])
+        fits = _checked(pairs, turned, known).verdict != "does not fit"
+    except (CheckError, CalibrationError):
+        return ""
+    kind = "a fisheye" if other == "fisheye" else "a normal lens"
+    return (
+        f'the distortion is that of {kind}: write "distortion_model": "{name}" into the calibration'
+        if fits
+        else ""
+    )
+
+
+def _checked(pairs: list[ImagePair], rig: StereoRig, known: KnownLength | None) -> Report:
     matcher = StereoMatcher(rig)
     rectifier = matcher.rectifier
     images = [rectified(rectifier, pair) for pair in pairs]

@@ -67,6 +67,25 @@ def seen(seed: int = 0, p2: float = 0.0) -> Shot:
     return _seen(seed, p2)
 
 
+FISHEYE_K = np.array([[300.0, 0, 319.5], [0, 300.0, 239.5], [0, 0, 1]])
+FISHEYE_D = np.array([-0.03, 0.02, -0.015, 0.004])
+
+
+def seen_through_fisheye(K: Floats = FISHEYE_K, D: Floats = FISHEYE_D, seed: int = 0) -> Shot:
+    """What a rig of equidistant lenses sees of a scene; black beyond the pinhole's image of which
+    it is made. Its depth is the pinhole's.
+    """
+    shot = seen(seed)
+    pixels = np.stack(np.meshgrid(np.arange(640), np.arange(480)), -1).reshape(-1, 1, 2)
+    places = cv2.fisheye.undistortPoints(pixels.astype(np.float64), K, D, P=RIG.K_left)
+    places = places.reshape(480, 640, 2).astype(np.float32)
+    eyes = (
+        np.asarray(cv2.remap(eye, places, None, cv2.INTER_LINEAR), np.uint8)  # pyright: ignore[reportArgumentType, reportCallIssue]
+        for eye in (shot.left, shot.right)
+    )
+    return Shot(*eyes, depth=shot.depth)
+
+
 def median_off(depth_m: npt.NDArray[np.float32], true_m: npt.NDArray[np.float32]) -> float:
     """By which share depths are off, as a rule; inf where hardly any pixel has one."""
     both = np.isfinite(depth_m) & np.isfinite(true_m)

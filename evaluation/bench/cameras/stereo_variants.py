@@ -8,7 +8,17 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from fleetpose.evaluation.bench.cameras.scene import RIG, Shot, content, half, save, seen
+from fleetpose.evaluation.bench.cameras.scene import (
+    FISHEYE_D,
+    FISHEYE_K,
+    RIG,
+    Shot,
+    content,
+    half,
+    save,
+    seen,
+    seen_through_fisheye,
+)
 from fleetpose.evaluation.bench.cameras.variants import Variant
 
 Depth = npt.NDArray[np.float32]
@@ -51,18 +61,12 @@ def _double_size(folder: Path) -> Depth:
 
 
 def _fisheye(folder: Path, wide: bool, column: bool) -> Depth:
-    """`cv2.fisheye` under OpenCV's names: a pinhole's image, bent as the lens bends it."""
-    shot = seen()
-    f = 300.0 if wide else 420.0
-    K = np.array([[f, 0, 319.5], [0, f, 239.5], [0, 0, 1]])
-    D = np.array([-0.03, 0.02, -0.015, 0.004]) if wide else np.array([0.01, -0.004, 0.002, -0.001])
-    pixels = np.stack(np.meshgrid(np.arange(640), np.arange(480)), -1).reshape(-1, 1, 2)
-    places = cv2.fisheye.undistortPoints(pixels.astype(np.float64), K, D, P=RIG.K_left)
-    places = places.reshape(480, 640, 2).astype(np.float32)
-    for side in ("left", "right"):
-        save(
-            folder / side / "0.png", cv2.remap(getattr(shot, side), places, None, cv2.INTER_LINEAR)
-        )  # pyright: ignore[reportArgumentType, reportCallIssue]
+    """`cv2.fisheye` under OpenCV's names."""
+    K = np.array([[420.0, 0, 319.5], [0, 420.0, 239.5], [0, 0, 1]])
+    D = np.array([0.01, -0.004, 0.002, -0.001])
+    K, D = (FISHEYE_K, FISHEYE_D) if wide else (K, D)
+    shot = seen_through_fisheye(K, D)
+    _pairs(folder, shot)
     said = D.reshape(-1, 1).tolist() if column else D.tolist()
     matrices = {"K1": K.tolist(), "K2": K.tolist(), "D1": said, "D2": said}
     _said(folder, content(**_SIZE) | matrices)
