@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: help setup demo test suite test-fast lint format pictures docs clean
+.PHONY: help setup demo demo-web test suite test-fast lint format pictures docs clean
 
 help: ## Shows what there is.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -20,6 +20,9 @@ $(READY): pyproject.toml constraints.txt scripts/venv.sh scripts/links.sh
 
 demo: $(READY) ## Six robots around a building find each other; q ends it.
 	@$(BIN)/python -m fleetpose.evaluation demo
+
+demo-web: $(READY) ## The same with the operator's page in a browser; Ctrl-C ends it.
+	@$(BIN)/python -m fleetpose.evaluation demo --web
 
 test: $(READY) ## Lint, types, import rules and all tests; the first three beside the last.
 	@$(MAKE) --no-print-directory -j2 lint suite

@@ -7,7 +7,7 @@ from typing import Self
 from fleetpose.deploy.errors import SiteError
 from fleetpose.protocol.keys import checked_name
 
-ROLES = ("robot", "operator", "observer", "server", "router", "health")
+ROLES = ("robot", "operator", "observer", "recorder", "server", "router", "health")
 ALONE = ("server",)  # roles of which a site has one, without a name of its own
 _TEXT = re.compile(r"([a-z]+)(?:/([a-z0-9_-]+))?(?:#(\d+))?")
 

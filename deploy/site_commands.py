@@ -67,7 +67,9 @@ def init(
 
 def add(
     folder: SitePath,
-    role: Annotated[Literal["robot", "operator", "observer"], typer.Argument(metavar="ROLE")],
+    role: Annotated[
+        Literal["robot", "operator", "observer", "recorder"], typer.Argument(metavar="ROLE")
+    ],
     names: Annotated[list[str], typer.Argument(metavar="NAME")],
     days: Days = 90.0,
     request: Annotated[
@@ -76,9 +78,10 @@ def add(
     ] = None,
     password: Password = False,
 ) -> None:
-    """Give robots or operators their bundles.
+    """Give robots, operators, observers or recorders their bundles.
 
-    The routers' rules change with it. An operator clicks; an observer may only look.
+    The routers' rules change with it. An operator clicks; an observer may only look; a recorder
+    hears all that is said, for `pose-server record` and `show --live`.
     """
     keeper = _keeper(folder, password)
     asked = None if request is None else _content(request)

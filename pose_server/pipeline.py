@@ -14,6 +14,7 @@ import numpy as np
 from fleetpose.pose_server.calibration.monitor import note_depths, note_mirror
 from fleetpose.pose_server.consistency.anchoring import choose_anchor, gauge_of
 from fleetpose.pose_server.consistency.doubts import reconsider
+from fleetpose.pose_server.consistency.levelling import learns_up, level
 from fleetpose.pose_server.consistency.repetition import believed, note_refuted, note_repetition
 from fleetpose.pose_server.correspondences.on_keyframes import (
     click_factors,
@@ -71,6 +72,8 @@ def receive_view(site: Site, view: KeptView) -> None:
     if before is None or before.epoch != view.name.epoch or before.seq < view.name.seq:
         site.note_change(robot, view)
         newest_arrived(site, robot, view)
+        if learns_up(site, view):
+            site.want_solution()
 
 
 def refuse_view(site: Site, name: str, reason: str) -> None:
@@ -206,6 +209,7 @@ def solve(site: Site, now_s: float, wanted: Collection[ViewName] | None = None) 
     note_repetition(site)
     reconsider(site)
     choose_anchor(site)
+    level(site)
     pair_queue.update_priorities(site, now_s)
     note_solved(site)
 

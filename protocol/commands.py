@@ -22,13 +22,15 @@ MODULES = {  # that an extra brings, as they are imported; Open3D is done withou
     "cluster": ("distributed",),
     "metrics": ("prometheus_client",),
     "record": ("mcap", "foxglove_schemas_protobuf", "mcap_protobuf"),
+    "live": ("foxglove",),
     "hmi": ("cv2", "textual", "rich", "mcap"),
+    "web": ("starlette", "uvicorn", "websockets"),
     "rerun": ("rerun",),
     "ros": ("rosbags", "mcap", "xxhash"),
     "deploy": ("cryptography",),
     "eval": ("psutil", "DracoPy"),
 }
-PARTS = {"eval": ("robot", "server", "hmi")}  # extras that an extra brings
+PARTS = {"eval": ("robot", "server", "hmi"), "web": ("hmi",)}  # extras that an extra brings
 
 
 def run_command(app: typer.Typer, name: str, extras: str, unreachable: int = REFUSED) -> None:

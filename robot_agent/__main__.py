@@ -5,7 +5,7 @@ import os
 import signal
 import threading
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -33,6 +33,10 @@ Fourcc = Annotated[str | None, typer.Option(help="Devices: coding of images, e.g
 Skew = Annotated[
     float | None,
     typer.Option(help="Two devices: images further apart are dropped. [default: 10]"),
+]
+Eyes = Annotated[
+    Literal["side-by-side", "top-bottom"],
+    typer.Option(help="How both eyes lie in one image of a device or video."),
 ]
 
 
@@ -83,6 +87,7 @@ def calibrate_check(
     fps: Fps = None,
     fourcc: Fourcc = None,
     max_skew_ms: Skew = None,
+    eyes: Eyes = "side-by-side",
     pairs: Annotated[int, typer.Option(min=1, help="So many pairs of images.")] = 10,
     interval: Annotated[float, typer.Option(min=0, help="Seconds between two of them.")] = 0.5,
     length: Annotated[float | None, typer.Option(help="A length you know, in metres.")] = None,
@@ -106,7 +111,7 @@ def calibrate_check(
     from fleetpose.robot_agent.checking.command import CheckOptions, run
 
     log_to_stderr(logging.WARNING)
-    video = video_settings(size, fps, fourcc, 10.0 if max_skew_ms is None else max_skew_ms)
+    video = video_settings(size, fps, fourcc, 10.0 if max_skew_ms is None else max_skew_ms, eyes)
     options = CheckOptions(
         *(data, calibration, video, pairs, interval, length, board, points, save, as_json),
         translation_unit,

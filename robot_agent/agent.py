@@ -55,6 +55,7 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
         video=video_settings(
             *(settings.size, settings.fps, settings.fourcc),
             settings.max_skew_ms or MAX_SKEW_MS,
+            settings.eyes,
         ),
         stop=stop,
         translation_unit=settings.translation_unit,
@@ -90,7 +91,7 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
             def between() -> None:
                 systemd.alive(_status(robot))
 
-            sight = _Sight(robot.name)
+            sight = Sight(robot.name)
             for frame in paced(camera.frames(), settings.rate_hz, stop, between):
                 sight.log(frame)
                 robot.push_frame(frame)
@@ -122,7 +123,7 @@ def _status(robot: FleetRobot) -> str:
     return "starting" if robot.heard_age_s is None else "heard"
 
 
-class _Sight:
+class Sight:
     """Logs what is understood of the camera: of the first frame all, later when depth goes thin,
     and when it is back.
     """

@@ -84,7 +84,7 @@ class FleetRobot:
         self._keys = Keys(site)
         self._camera = camera
         self._seq = 0
-        self._repeats = Repeats()
+        self._repeats = Repeats(name)
         self.drops = Drops()
         self._link = Link(open_session(session))
         self._server = LiveServer(self._link, self._keys)

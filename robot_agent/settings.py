@@ -72,6 +72,9 @@ class RobotSettings(ProcessSettings):
     fourcc: Annotated[str, Field(pattern=r"^[!-~]{4}$")] | None = Field(
         None, description="devices: coding of the images, e.g. MJPG"
     )
+    eyes: Literal["side-by-side", "top-bottom"] = Field(
+        "side-by-side", description="devices, videos: how both eyes lie in one image"
+    )
     max_skew_ms: float | None = Field(
         None,
         gt=0,

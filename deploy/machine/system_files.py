@@ -118,6 +118,7 @@ def _by_hand(manifest: Manifest, folder: Path) -> str:
         "server": f"pose-server run --config {config} --site {manifest.site}",
         "router": f"pose-server router --config {config}",
         "health": f"pose-deploy check {folder}",
+        "recorder": f"pose-server record --config {config} --out {manifest.site}.mcap",
     }.get(
         who.role,
         f"hmi-client --config {config} --site {manifest.site} --operator {who.name}",

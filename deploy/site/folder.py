@@ -26,6 +26,7 @@ from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.keys import NAME_PATTERN, Keys
 
 SITE, ISSUED, CA_CERTIFICATE, CA_KEY = "site.toml", "issued.jsonl", "ca/ca.pem", "ca/ca.key"
+NAMED = ("robots", "operators", "observers", "recorders")
 HEALTH = Identity("health", "desk")
 """By whose certificate the site's keeper asks routers what they run."""
 
@@ -47,6 +48,7 @@ class Site(BaseModel):
     robots: tuple[_Name, ...] = ()
     operators: tuple[_Name, ...] = ()
     observers: tuple[_Name, ...] = ()
+    recorders: tuple[_Name, ...] = ()
     routers: dict[_Name, str]
     generations: dict[str, Annotated[int, Field(ge=1)]] = {}
     rates: Rates = Field(default_factory=lambda: Rates.model_validate({}))
@@ -69,6 +71,7 @@ class Site(BaseModel):
             *(("robot", name) for name in self.robots),
             *(("operator", name) for name in self.operators),
             *(("observer", name) for name in self.observers),
+            *(("recorder", name) for name in self.recorders),
             *(("router", name) for name in self.routers),
         )
         everybody = [Identity("server", "server"), HEALTH]
@@ -88,7 +91,7 @@ class Site(BaseModel):
         raise SiteError(f"site '{self.site}' has no {asked}: 'pose-deploy show' lists who there is")
 
     def with_names(self, role: str, names: Iterable[str]) -> Self:
-        """With more robots, operators or observers; names that it has already stay."""
+        """With more robots, operators, observers or recorders; names that it has already stay."""
         plural = f"{role}s"
         there = getattr(self, plural)
         return self.model_copy(update={plural: tuple(dict.fromkeys((*there, *names)))})
@@ -242,7 +245,7 @@ def _text_of(site: Site) -> str:
     lines = [
         "# Who belongs to this site. After a change: pose-deploy rules FOLDER",
         f"site = {json.dumps(site.site)}",
-        *(_names(role, getattr(site, role)) for role in ("robots", "operators", "observers")),
+        *(_names(role, getattr(site, role)) for role in NAMED),
         "",
         "[routers] # HOST:PORT of each, in the order in which they are asked",
         *_table(site.routers),

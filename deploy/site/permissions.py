@@ -48,6 +48,7 @@ def permissions(keys: Keys, role: str, name: str) -> Permissions:
         "robot": lambda: _robot(keys, name),
         "operator": lambda: _people(keys) + _operator(keys, name),
         "observer": lambda: _people(keys),
+        "recorder": lambda: _recorder(keys),
         "health": lambda: _people(keys) + _health(keys),
     }[role]
     return of_role() + _own_check(keys, role, name)
@@ -94,6 +95,19 @@ def _people(keys: Keys) -> Permissions:
     )
 
 
+def _recorder(keys: Keys) -> Permissions:
+    """All that is said at the site, and nothing of its own; also what only the server hears."""
+    return Permissions(
+        follows=(
+            *(keys.camera("*"), keys.odometry("*"), keys.updates("*"), keys.selection("*")),
+            *(keys.receipts("*"), keys.poses, keys.state, keys.status, keys.heard("*")),
+            *(keys.denials("*"), keys.alignment("*", "*"), keys.correspondences("*", "*")),
+        ),
+        hears=(keys.cloud("*"), keys.image("*")),
+        sees=(keys.server_alive("*"), keys.robot_alive("*", "*"), EVERY_SERVER),
+    )
+
+
 def _operator(keys: Keys, name: str) -> Permissions:
     return Permissions(
         latches=(keys.updates(name), keys.selection(name)),
@@ -115,7 +129,7 @@ def _own_check(keys: Keys, role: str, name: str) -> Permissions:
 
 def everybody(keys: Keys) -> list[Permissions]:
     """The permissions of each role, all its members taken together."""
-    named = ("robot", "operator", "observer", "health")
+    named = ("robot", "operator", "observer", "recorder", "health")
     return [
         permissions(keys, "server", "server"),
         *(permissions(keys, role, "*") for role in named),

@@ -7,7 +7,7 @@ import typer
 
 from fleetpose.evaluation.options.building import of
 from fleetpose.evaluation.options.fleets import NeighboursOptions, SynthOptions
-from fleetpose.evaluation.options.published import BenchOptions
+from fleetpose.evaluation.options.published import BenchOptions, FormatsOptions
 from fleetpose.evaluation.options.recorded import (
     MapOptions,
     Out,
@@ -66,6 +66,22 @@ def bench(options: BenchOptions, out: Out) -> None:
     from fleetpose.evaluation.bench.published.command import run
 
     run(options, out)
+
+
+@app.command()
+@of(FormatsOptions)
+def formats(options: FormatsOptions, out: Out) -> None:
+    """Write trajectories and reconstructions of a small fleet; compare what others make of them:
+    evo's ATE of the TUM files and pycolmap's reprojection of the COLMAP files must be ours to 1e-6
+    (--python, of an environment that has both; they are no part of this one). COLMAP, Bundler and
+    NVM files are read back, and Bundler's own example (--bundle) must fit to 0.21 px.
+
+    Prints each bar with its figure and its limit, writes the files and summary.json, and ends with
+    1 where a bar is not met. What was not given to compare with is told as not checked.
+    """
+    from fleetpose.evaluation.bench.formats.command import run
+
+    raise typer.Exit(run(options, out))
 
 
 @app.command()

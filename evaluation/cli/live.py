@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from fleetpose.evaluation.options.bags import BagsOptions
 from fleetpose.evaluation.options.building import of
 from fleetpose.evaluation.options.field import FieldOptions
 from fleetpose.evaluation.options.fleets import (
@@ -104,6 +105,23 @@ def field(options: FieldOptions, out: Out) -> None:
 
 
 @app.command()
+@of(BagsOptions)
+def bags(options: BagsOptions, out: Out) -> None:
+    """Hold robots out of bags to their bars, without ROS: `robot-agent topics` ends 0 on every bag;
+    a scene in every form in which bags come is read as it was, none of its frames lost, raw ones
+    within 10 ms; two live robots on recorded bags are both verified, where they truly were, with
+    no clock blamed and no pose stale; and so are two of which one plays a bag of ROS 1.
+
+    Recorded bags tell their truth in ground_truth/pose; robots get bags without it. Without --data
+    they walk through the synthetic town. Prints each bar with its figure and its limit, writes
+    summary.json, and ends with 1 where one is not met.
+    """
+    from fleetpose.evaluation.bench.bags.command import run
+
+    raise typer.Exit(run(options, out))
+
+
+@app.command()
 @of(RosOptions)
 def ros(options: RosOptions, out: Out) -> None:
     """Run stand-ins for robots that run ROS 2 (rmw_zenoh as of Jazzy and of Humble, and behind
@@ -147,6 +165,7 @@ def demo(
     robots: Annotated[int, typer.Option(min=2, help="How many.")] = 6,
     seconds: Annotated[float, typer.Option(help="At most, without a screen.")] = 90,
     headless: Annotated[bool, typer.Option("--headless", help="Without a screen.")] = False,
+    web: Annotated[bool, typer.Option("--web", help="The page in a browser, no screen.")] = False,
     pictures: Annotated[
         Path | None, typer.Option(help="Folder for pictures of screen and map; no screen then.")
     ] = None,
@@ -154,8 +173,9 @@ def demo(
     """Run a fleet in the synthetic world: on a terminal with the operator's screen."""
     from fleetpose.evaluation.system.demo import run, without_screen
 
-    alone = without_screen(headless) or pictures is not None
-    raise typer.Exit(run(robots, seconds, alone, pictures))
+    alone = pictures is not None or (not web and without_screen(headless))
+    face = "none" if alone else "web" if web else "text"
+    raise typer.Exit(run(robots, seconds, face, pictures))
 
 
 @app.command()

@@ -132,3 +132,27 @@ def stereo(out: Out) -> None:
     from fleetpose.evaluation.bench.stereo import run
 
     run(out)
+
+
+@app.command()
+def cameras(
+    faults: Annotated[
+        Path | None, typer.Option(help="Folder of cases, a folder each, that must not be misread.")
+    ] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of recordings, whose good rigs must not be blamed.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for attempts.csv and summary.json; it is made.")
+    ] = None,
+) -> None:
+    """Read other people's cameras: files of calibrations in every tool's layout, folders as they
+    are downloaded and as they are damaged, rigs good and bad, cameras that fail while they run.
+    Each row tells its figure, its limit, and whether it is met; what failed is named with what was
+    said of it. 0: all are met.
+
+    Files and images are made here, with known numbers; --faults and --data add real ones.
+    """
+    from fleetpose.evaluation.bench.cameras.command import run
+
+    raise typer.Exit(0 if run(faults, data, out) else 1)

@@ -77,7 +77,7 @@ def make_video(path: Path, stations: int = 5, seed: int = 0) -> StereoVideo:
     rig = lens_rig(world.radius_m)
     T_world_lefts = np.stack([world.T_world_robot(k) @ mount() for k in range(stations)])
     rng = np.random.default_rng((seed, 2))
-    scene = world.scene.with_quads([_board(T, rng) for T in T_world_lefts])
+    scene = world.scene.with_quads([board(T, rng) for T in T_world_lefts])
     code = cv2.VideoWriter.fourcc(*"FFV1")
     writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, code, FPS, (2 * WIDTH, HEIGHT))
     if not writer.isOpened():
@@ -115,7 +115,7 @@ def _through_lens(scene: Renderer, T_world_eye: Floats, K: Floats, D: Floats) ->
     return np.asarray(cv2.remap(straight, places, None, cv2.INTER_LINEAR), np.uint8)  # pyright: ignore[reportArgumentType, reportCallIssue]
 
 
-def _board(T_world_left: Floats, rng: np.random.Generator) -> Quad:
+def board(T_world_left: Floats, rng: np.random.Generator) -> Quad:
     """A chessboard in the sight of both eyes, leaning a little, with a white rim."""
     columns, rows = BOARD[0] + 3, BOARD[1] + 3
     fields = np.indices((rows, columns)).sum(0) % 2 == 0

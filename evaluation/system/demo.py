@@ -10,6 +10,7 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -30,6 +31,8 @@ from fleetpose.evaluation.system.observer import Observer, first_time_located
 from fleetpose.evaluation.system.truth import WorldTruth
 from fleetpose.protocol.errors import FleetPoseError
 
+Face = Literal["text", "web", "none"]
+FACES = {"text": "screen", "web": "web"}  # the client's commands
 CLICKS_PER_MINUTE = 60.0
 SETTLE_S = 5.0  # after all are located, so that the last alignments count
 CLOSING_S = 6.0  # kept of the time for ending all processes
@@ -70,13 +73,13 @@ class DemoResult:
         )
 
 
-def run(robots: int, seconds: float, headless: bool, pictures: Path | None = None) -> int:
+def run(robots: int, seconds: float, face: Face, pictures: Path | None = None) -> int:
     """Runs the demo; returns the exit code.
 
     Args:
         robots: how many.
-        seconds: at most, without a screen.
-        headless: without a screen.
+        seconds: at most, without a face.
+        face: what the operator sees; without one a simulated operator answers.
         pictures: folder for those of the documents, made on the way.
     """
     if robots < 2:
@@ -91,8 +94,9 @@ def run(robots: int, seconds: float, headless: bool, pictures: Path | None = Non
     workers = max(1, min(4, os.cpu_count() or 1))
     with LocalFleet(logs) as fleet:
         start(fleet, plan, workers, logs / "state", kept_apart(plan.names, logs))
-        if not headless:
-            return _on_screen(fleet)
+        print(f"more screens: hmi-client {' '.join(fleet.connection)}", flush=True)
+        if face != "none":
+            return _by_hand(fleet, plan, face)
         result = _unattended(fleet, plan, began_s + seconds - CLOSING_S, pictures)
     return report(result, fleet.leftover_processes())
 
@@ -103,13 +107,24 @@ def without_screen(headless: bool) -> bool:
     return asked or not (sys.stdin.isatty() and sys.stdout.isatty())
 
 
-def _on_screen(fleet: LocalFleet) -> int:
-    """The operator's screen in the foreground; the fleet ends with it."""
-    command = [sys.executable, "-P", "-m", "fleetpose.hmi_client", "screen", *fleet.connection]
-    state = {"XDG_STATE_HOME": str(fleet.directory / "screen")}  # it ends with the fleet
+def _by_hand(fleet: LocalFleet, plan: FleetPlan, face: Face) -> int:
+    """The operator's screen or page in the foreground; then how far off the robots ended."""
+    with observed(fleet) as observer:
+        code = _shown(fleet, FACES[face])
+        rows = _sample(observer, plan)
+    _print_errors(rows)
+    return code
+
+
+def _shown(fleet: LocalFleet, face: str) -> int:
+    """Runs a face until it is left; the fleet ends with it."""
+    command = [sys.executable, "-P", "-m", "fleetpose.hmi_client", face, *fleet.connection]
+    state = {"XDG_STATE_HOME": str(fleet.directory / face)}  # it ends with the fleet
     with subprocess.Popen(command, env={**os.environ, **state}) as screen:
         try:
             return screen.wait()
+        except KeyboardInterrupt:  # how a page is left
+            return 0
         finally:  # asked, not killed: it gives the terminal back as it was
             screen.terminate()
 
@@ -158,12 +173,17 @@ def _last_sample(
 
     def all_located() -> bool:
         nonlocal rows
-        anchor = None if observer.state is None else observer.state.anchor
-        rows = score_sample(0.0, plan.names, poses_now(observer, plan.truth), anchor)
+        rows = _sample(observer, plan)
         return all(row.located for row in rows)
 
     wait_running(fleet, all_located, max(deadline_s - time.monotonic(), 0.0))
     return rows
+
+
+def _sample(observer: Observer, plan: FleetPlan) -> list[SampleRow]:
+    """Where the robots are said to be, beside the truth, now."""
+    anchor = None if observer.state is None else observer.state.anchor
+    return score_sample(0.0, plan.names, poses_now(observer, plan.truth), anchor)
 
 
 def _watch_located(fleet: LocalFleet, observer: Observer, robots: int, deadline_s: float) -> bool:
@@ -186,19 +206,7 @@ def _watch_located(fleet: LocalFleet, observer: Observer, robots: int, deadline_
 
 def report(result: DemoResult, leftover_processes: int) -> int:
     """Prints how it went; returns the exit code."""
-    print_table(
-        "position errors, the anchor as gauge",
-        ("robot", "located", "error m", "error deg"),
-        [
-            (
-                row.robot + (" (anchor)" if row.is_anchor else ""),
-                "yes" if row.located else "no",
-                row.position_error_m,
-                row.rotation_error_deg,
-            )
-            for row in result.rows
-        ],
-    )
+    _print_errors(result.rows)
     mean_m = result.mean_error_m
     if mean_m is not None:
         share = mean_m / result.radius_m
@@ -213,3 +221,19 @@ def report(result: DemoResult, leftover_processes: int) -> int:
     if leftover_processes:
         print(f"{leftover_processes} processes are left over")
     return 0 if result.good and not leftover_processes else 1
+
+
+def _print_errors(rows: list[SampleRow]) -> None:
+    print_table(
+        "position errors, the anchor as gauge",
+        ("robot", "located", "error m", "error deg"),
+        [
+            (
+                row.robot + (" (anchor)" if row.is_anchor else ""),
+                "yes" if row.located else "no",
+                row.position_error_m,
+                row.rotation_error_deg,
+            )
+            for row in rows
+        ],
+    )

@@ -82,6 +82,11 @@ class PickAssist:
         chosen = picking.apart(uv, least_u, least_v, at_most)
         return [(float(u), float(v)) for u, v in uv[chosen]]
 
+    def prepare(self) -> None:
+        """Finds what both pictures look like, so that it is there once a half is picked."""
+        for side in (0, 1):
+            self._looks_of(side)
+
     # ---- the other image -------------------------------------------------------------------------
 
     def expected(self) -> Expected | None:

@@ -1,15 +1,21 @@
 """The server's suggestions for a question, one after the other: nothing vouches for them, so each
-is looked at, corrected, and accepted or skipped.
+is looked at, corrected, and accepted or skipped. Points that were accepted say what is left: what
+their distances contradict is dropped, and what lies far from them comes first.
 """
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
+from fleetpose.hmi_client.assist.clicked_points import ClickedPoints, is_live
 from fleetpose.hmi_client.assist.pick_assist import PickAssist
 from fleetpose.hmi_client.errors import OperatorError
-from fleetpose.hmi_client.model.records import PixelUV
+from fleetpose.hmi_client.model.records import Pick, PixelUV
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.network.outbox import Ticket
 from fleetpose.protocol.messages import Question, Suggestion, ViewName
+
+_FAR_PX = 120.0  # farther than that from all others is no better
 
 
 @dataclass(frozen=True)
@@ -23,24 +29,28 @@ class Proposal:
 
 
 class Suggestions:
-    """Goes through the suggestions of one question, in the views that it is about."""
+    """Goes through the suggestions of one question, in the views that it is about.
 
-    def __init__(self, session: OperatorSession, guide: PickAssist) -> None:
+    Attributes:
+        dropped: how many of them accepted points contradict.
+    """
+
+    def __init__(self, session: OperatorSession, guide: PickAssist, points: ClickedPoints) -> None:
         self._session = session
         self._guide = guide
+        self._points = points
         self._views: tuple[ViewName, ViewName] | None = None
-        self._all: tuple[Suggestion, ...] = ()
+        self._all: tuple[Pick, ...] = ()
         self._at = 0
+        self.dropped = 0
 
     @property
     def current(self) -> Proposal | None:
         """What is to be looked at; none outside of this mode, or while its pictures are fetched."""
         if self._views is None or self._session.frozen_views() != self._views:
             return None
-        suggestion = self._all[self._at]
-        u_i, v_i = (float(x) for x in suggestion.pixel_i)
-        u_j, v_j = (float(x) for x in suggestion.pixel_j)
-        return Proposal((u_i, v_i), (u_j, v_j), self._at + 1, len(self._all))
+        pick = self._all[self._at]
+        return Proposal(pick.pixel_i, pick.pixel_j, self._at + 1, len(self._all))
 
     @property
     def waiting(self) -> bool:
@@ -54,16 +64,17 @@ class Suggestions:
             OperatorError: there is none, or none that has not been clicked already.
         """
         question = self._question()
-        fresh = [s for s in question.suggestions if not self._clicked(s)]
+        picks = (_pick_of(question, suggestion) for suggestion in question.suggestions)
+        fresh = self._ranked(pick for pick in picks if not self._clicked(pick))
         if not fresh:
             what = "any more" if question.suggestions else "yet"
             raise OperatorError(f"nothing is suggested for this pair {what}: pick points yourself")
-        self._views, self._all, self._at = (question.view_i, question.view_j), tuple(fresh), 0
+        self._views, self._all, self._at = (question.view_i, question.view_j), fresh, 0
         self._session.hold(*self._views)
 
     def accept(self, pixel_i: PixelUV, pixel_j: PixelUV) -> Ticket:
         """Makes the present suggestion, as the operator corrected it, a correspondence, and goes on
-        to the next.
+        to the next that does not contradict it.
 
         Raises:
             OperatorError: there is no suggestion on the screen, or its pictures are not kept.
@@ -78,11 +89,23 @@ class Suggestions:
         self.skip()
         return ticket
 
-    def skip(self, step: int = 1) -> None:
-        """Goes to the next suggestion, or to one before; after the last it is over."""
-        self._at = max(self._at + step, 0)
+    def skip(self) -> None:
+        """Goes to the next suggestion; after the last it is over."""
+        done, left = self._all[: self._at + 1], self._all[self._at + 1 :]
+        self._all, self._at = done + self._ranked(left), self._at + 1
         if self._at >= len(self._all):
             self.end()
+
+    def back(self) -> None:
+        """Goes to the one before that was not accepted.
+
+        Raises:
+            OperatorError: there is none.
+        """
+        before = [k for k in range(self._at) if not self._clicked(self._all[k])]
+        if self.current is None or not before:
+            raise OperatorError("there is no suggestion before this one")
+        self._at = before[-1]
 
     def end(self) -> None:
         """Leaves the suggestions; the pictures go on."""
@@ -91,12 +114,23 @@ class Suggestions:
             self._session.release()
 
     def follow(self) -> None:
-        """Ends where the operator has turned to something else."""
+        """Ends where the operator has turned to something else, and where all has been said: the
+        pair is joined and no longer asked about.
+        """
         left = self._views is not None and not self._session.fetching
         if left and self._session.frozen_views() != self._views:
             self._views, self._all, self._at = None, (), 0
+        if self._views is not None and self._is_answered():
+            self.end()
 
     # ---- inside ----------------------------------------------------------------------------------
+
+    def _is_answered(self) -> bool:
+        session = self._session
+        answers = session.fleet.answered if session.fleet else ()
+        asked = {(q.i, q.j) for q in (session.fleet.questions if session.fleet else ())}
+        joined = any((a.i, a.j) == session.pair and a.joined for a in answers)
+        return joined and session.pair not in asked
 
     def _question(self) -> Question:
         pair, question = self._session.pair, self._session.question()
@@ -106,7 +140,27 @@ class Suggestions:
             raise OperatorError("nothing is asked about this pair, so nothing is suggested")
         return question
 
-    def _clicked(self, suggestion: Suggestion) -> bool:
-        u_i, v_i = (float(x) for x in suggestion.pixel_i)
-        u_j, v_j = (float(x) for x in suggestion.pixel_j)
-        return self._guide.clicked_already((u_i, v_i), (u_j, v_j))
+    def _ranked(self, picks: Iterable[Pick]) -> tuple[Pick, ...]:
+        """Without those that points clicked so far contradict; far ones first, and of those about
+        as far the server's order.
+        """
+        clicked = [entry.pick for entry in self._session.entries() if is_live(entry)]
+        before = list(picks)
+        if not clicked:
+            return tuple(before)
+        left = [p for p in before if not any(self._points.misfit(p, c) for c in clicked)]
+        self.dropped += len(before) - len(left)
+
+        def distance(pick: Pick) -> float:
+            return min(min(math.dist(pick.pixel_i, c.pixel_i), _FAR_PX) for c in clicked)
+
+        return tuple(sorted(left, key=lambda pick: -round(distance(pick) / 20)))
+
+    def _clicked(self, pick: Pick) -> bool:
+        return self._guide.clicked_already(pick.pixel_i, pick.pixel_j)
+
+
+def _pick_of(question: Question, suggestion: Suggestion) -> Pick:
+    u_i, v_i = (float(x) for x in suggestion.pixel_i)
+    u_j, v_j = (float(x) for x in suggestion.pixel_j)
+    return Pick(question.view_i, question.view_j, (u_i, v_i), (u_j, v_j))

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import typer
 
-from fleetpose.hmi_client.assist.prompts import why_unconfirmed
+from fleetpose.hmi_client.desk.words import why_unconfirmed
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.records import Pair, Pick
 from fleetpose.hmi_client.model.session import OperatorSession

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from fleetpose.hmi_client.cli import connection as c
-from fleetpose.hmi_client.cli import correspondences, recordings
+from fleetpose.hmi_client.cli import correspondences, recordings, web
 from fleetpose.hmi_client.cli.options import Fps, KeysFile, LogFile, SettingsFile, Theme, Threshold
 from fleetpose.hmi_client.errors import NoServerError, OperatorError
 from fleetpose.hmi_client.settings import ClientSettings
@@ -27,6 +27,7 @@ app = typer.Typer(
 )
 app.add_typer(correspondences.app, name="correspondences")
 app.add_typer(recordings.app)
+app.add_typer(web.app)
 
 
 @app.callback(invoke_without_command=True)
@@ -111,7 +112,7 @@ def screenshot(
 @app.command("keys")
 def show_keys(keys_file: KeysFile = None) -> None:
     """Prints the keys of all commands, as a file that you can change and use (--keys)."""
-    from fleetpose.hmi_client.tui.run import keymap_of
+    from fleetpose.hmi_client.local_files import keymap_of
 
     typer.echo(keymap_of(keys_file).as_toml(), nl=False)
 

@@ -4,8 +4,10 @@ import json
 import math
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import datetime
 from typing import Any
 
+from fleetpose.hmi_client.desk.words import plain
 from fleetpose.hmi_client.model.matrix import doubt_text, length_text
 from fleetpose.hmi_client.model.records import Entry, Pair
 from fleetpose.hmi_client.model.session import OperatorSession
@@ -64,18 +66,20 @@ def sentence(record: Record) -> str:
     """A record as a line of text."""
     r = record
     if r["type"] == "pose":
-        located = "located" if r["located"] else f"not located (component of {r['component']})"
+        located = "located" if r["located"] else f"not located (separate group of {r['component']})"
         return (
             f"pose  {r['robot']:<8} x {r['x_m']:+9.3f}  y {r['y_m']:+9.3f}  z {r['z_m']:+9.3f} m"
             f"  heading {r['heading_deg']:+7.1f} deg  sigma {r['sigma_m']:.3f} m"
             f"  {r['verdict']:<9}  {located}"
         )
     if r["type"] == "pair":
-        error = "-" if r["rmse_m"] is None else length_text(r["rmse_m"])
+        error = length_text(r["rmse_m"]) if r["rmse_m"] and r["verdict"] != "rejected" else "-"
         state = r["state"].replace("_", " ")
         if r["state"] == "tried":
             state = doubt_text(r["verdict"], r["p_grave"], r["rivals"])
         return f"pair  {r['i']} - {r['j']}  {error}  {state}  {r['correspondences']} clicked"
+    if r["type"] == "question":
+        return f"asked {r['i']} - {r['j']}  {r['reason']}"
     if r["type"] == "drops":
         reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(r["by_reason"].items()))
         return f"drops {r['total']} in all: {reasons}"
@@ -91,6 +95,7 @@ class Watcher:
         self._events_told = 0
         self._silent = False
         self._dropped = 0
+        self._asked: set[Pair] = set()
 
     def news(self) -> list[Record]:
         """Records that are new or differ from what was told."""
@@ -105,7 +110,17 @@ class Watcher:
             if self._told.get(name) != record:
                 self._told[name] = record
                 news.append(record)
-        return news + self._events() + self._silence() + self._drops()
+        return news + self._questions() + self._events() + self._silence() + self._drops()
+
+    def _questions(self) -> list[Record]:
+        """What is asked that was not before."""
+        questions = self._session.fleet.questions if self._session.fleet else ()
+        before, self._asked = self._asked, {(q.i, q.j) for q in questions}
+        return [
+            {"type": "question", "i": q.i, "j": q.j, "reason": plain(q.reason)}
+            for q in questions
+            if (q.i, q.j) not in before
+        ]
 
     def _events(self) -> list[Record]:
         events, told = self._session.events_since(self._events_told)
@@ -132,7 +147,8 @@ class Watcher:
 def watching(
     sites: Mapping[str, OperatorSession], as_json: bool, end: float | None
 ) -> Iterator[str]:
-    """Lines of what is new, as it comes; of several sites each begins with, or holds, its site.
+    """Lines of what is new, as it comes, each with its time of day; of several sites each begins
+    with, or holds, its site.
 
     Args:
         sites: the sessions by the names of their sites.
@@ -145,10 +161,11 @@ def watching(
         for site, session in sites.items():
             seen = session.revisions()
             for record in watchers[site].news():
-                if as_json:
-                    yield json.dumps({"site": site} | record if several else record)
-                else:
-                    yield f"{site}: {sentence(record)}" if several else sentence(record)
+                now = datetime.now()
+                named = {"site": site} | record if several else record
+                said = f"{site}: {sentence(record)}" if several else sentence(record)
+                at = {"at": now.astimezone().isoformat(timespec="milliseconds")}
+                yield json.dumps(named | at) if as_json else f"{now:%H:%M:%S} {said}"
             left = LOOK_S if end is None else min(LOOK_S, max(end - time.monotonic(), 0.0))
             session.wait_change(seen, ("poses", "fleet", "events"), left / len(sites))
 
@@ -196,7 +213,7 @@ def status_text(session: OperatorSession) -> str:
     rows = [robot_row(session, robot) for robot in session.robots()]
     located = sum(row[1] == "yes" for row in rows)
     anchor = session.fleet.anchor if session.fleet else None
-    parts.append(f"{located} of {len(rows)} robots located, anchor {anchor or 'none'}")
+    parts.append(f"{located} of {len(rows)} robots located, origin {anchor or 'none'}")
     if rows:
         head = ("robot", "located", "x m", "y m", "z m", "heading", "sigma", "why not")
         parts.append(table(head, rows))
@@ -207,12 +224,9 @@ def status_text(session: OperatorSession) -> str:
     if alarms:
         parts.append("\n".join(f"alarm: {alarm.robot}: {alarm.text}" for alarm in alarms))
     questions = session.fleet.questions if session.fleet else ()
-    asked = [
-        (str(k), f"{q.i} - {q.j}", length_text(q.gain), q.reason)
-        for k, q in enumerate(questions, start=1)
-    ]
+    asked = [(str(k), f"{q.i} - {q.j}", plain(q.reason)) for k, q in enumerate(questions, start=1)]
     if asked:
-        parts.append(table(("question", "pair", "gain per click", "reason"), asked))
+        parts.append(table(("question", "pair", "reason"), asked))
     else:
         parts.append("no questions")
     return "\n\n".join(parts)

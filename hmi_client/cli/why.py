@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Mapping
 
 from fleetpose.hmi_client.cli.reports import Record, pose_record, table
+from fleetpose.hmi_client.desk.words import plain
 from fleetpose.hmi_client.model.matrix import doubt_text, length_text
 from fleetpose.hmi_client.model.records import Pair
 from fleetpose.hmi_client.model.session import OperatorSession
@@ -148,17 +149,24 @@ def why_text(record: Record) -> str:
     parts.append(_presence(record))
     rows = [_row(pair) for pair in record["pairs"][:SHOWN_PAIRS]]
     if rows:
-        head = ("with", "verdict", "error", "overlap", "tried", "clicked", "newest alignment")
+        head = (
+            "with",
+            "verdict",
+            "point residual",
+            "overlap",
+            "tried",
+            "clicked",
+            "newest alignment",
+        )
         parts.append(table(head, rows))
     more = max(0, len(record["pairs"]) - SHOWN_PAIRS)
     if more or record["untried"]:
         parts.append(f"{more} more pairs were tried, {record['untried']} never")
     question = record["question"]
     if question is not None:
-        gain = f" (a click gains about {length_text(question['gain_m'])})"
         parts.append(
             f"question {question['rank']}: {question['i']} - {question['j']}: "
-            f"{question['reason']}{gain if question['gain_m'] else ''}"
+            f"{plain(question['reason'])}"
         )
     parts.append(f"next: {record['next']}")
     return "\n".join(parts)
@@ -179,7 +187,7 @@ def _presence(record: Record) -> str:
         old = "" if record["pose_view"] == record["newest_view"] else f" of {record['pose_view']}"
         words.append(
             f"pose{old} {record['pose_age_s']:.1f} s old, {pose['verdict']}, sigma "
-            f"{length_text(pose['sigma_m'])}, in the component of {pose['component']}"
+            f"{length_text(pose['sigma_m'])}, in the group of {pose['component']}"
         )
     return "; ".join(words)
 
@@ -191,8 +199,9 @@ def _row(pair: Record) -> tuple[str, ...]:
     said = ""
     if alignment is not None:
         said = f"{alignment['inliers']} inliers from {alignment['start']}"
-        said = "; ".join((said, *alignment["reasons"]))
-    tried, failed = pair["state"] == "tried", pair["rmse_m"] is None
+        said = "; ".join((said, *map(plain, alignment["reasons"])))
+    tried = pair["state"] == "tried"
+    failed = not pair["rmse_m"] or pair["verdict"] == "rejected"
     return (
         pair["other"],
         doubt_text(pair["verdict"], pair["p_grave"], pair["rivals"])

@@ -27,6 +27,7 @@ class Changes:
     def __init__(self, clock: Callable[[], float]) -> None:
         self.clock = clock
         self.events: deque[str] = deque(maxlen=50)
+        self._events_s: deque[float] = deque(maxlen=50)
         self.drops = Drops()
         self._events_said = 0
         self._revisions: Counter[str] = Counter()
@@ -52,6 +53,13 @@ class Changes:
             fresh = min(self._events_said - count, len(self.events))
             return list(self.events)[len(self.events) - fresh :], self._events_said
 
+    def timed_events(self) -> list[tuple[float, str]]:
+        """What happened, the newest first, and how many seconds ago."""
+        with self._changed:
+            now = self.clock()
+            both = zip(self._events_s, self.events, strict=True)
+            return [(now - at, text) for at, text in both][::-1]
+
     def drop(self, key: str, error: Exception) -> None:
         """Counts something that arrived under a key and could not be used."""
         self.drops.note(key, error)
@@ -60,6 +68,7 @@ class Changes:
 
     def _say(self, *sentences: str) -> None:
         self.events.extend(sentences)
+        self._events_s.extend([self.clock()] * len(sentences))
         self._events_said += len(sentences)
         if sentences:
             self._bump("events")

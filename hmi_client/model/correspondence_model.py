@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 from fleetpose.hmi_client.assist.deferred_clear import HeldClear
 from fleetpose.hmi_client.errors import OperatorError
-from fleetpose.hmi_client.model.records import Entry, Pair, Pick, PixelUV
+from fleetpose.hmi_client.model.records import Deed, Entry, Pair, Pick, PixelUV
 from fleetpose.hmi_client.network.outbox import Outbox, Ticket
 from fleetpose.hmi_client.network.update_log import UpdateLog
 from fleetpose.protocol.messages import Correspondence, PairCorrespondences, Receipts, ViewName
@@ -86,11 +86,15 @@ class CorrespondenceModel:
         self._erasing.setdefault(pair, {}).update({c.id: ticket for c in items})
         return ticket
 
-    def undo(self) -> bool:
+    def undo(self) -> Deed | None:
         return self._step(self._done, self._undone, forward=False)
 
-    def redo(self) -> bool:
+    def redo(self) -> Deed | None:
         return self._step(self._undone, self._done, forward=True)
+
+    def undoable(self) -> tuple[str | None, str | None]:
+        """What undo and redo would do, in words."""
+        return tuple(self._told(s[-1]).text if s else None for s in (self._done, self._undone))  # type: ignore[return-value]
 
     def dismiss(self, pair: Pair) -> bool:
         """Forgets the rejected picks of a pair; whether there were any."""
@@ -264,15 +268,16 @@ class CorrespondenceModel:
         self._done.append(deed)
         self._undone.clear()
 
-    def _step(self, source: list[UndoStep], target: list[UndoStep], forward: bool) -> bool:
+    def _step(self, source: list[UndoStep], target: list[UndoStep], forward: bool) -> Deed | None:
         if not source:
-            return False
+            return None
         deed = source[-1]
+        told = self._told(deed)
         if deed.moved is not None:
             before, after = deed.moved if forward else deed.moved[::-1]
             known = self.find(before)
             if known is None or known.id in self._moving.get(before.pair, {}):
-                return False  # the server is still to say that it was moved
+                return None  # the server is still to say that it was moved
             self._post_move(known, after)
         target.append(source.pop())
         added, removed = (deed.added, deed.removed) if forward else (deed.removed, deed.added)
@@ -280,7 +285,21 @@ class CorrespondenceModel:
             self._withdraw(pick)
         for pick in added:
             self._put_back(pick)
-        return True
+        return told
+
+    def _told(self, deed: UndoStep) -> Deed:
+        """A step in words, with the numbers that its points have in the list, where they have."""
+        picks = deed.moved or (*deed.added, *deed.removed)
+        pair = picks[0].pair if picks else None
+        listed = [entry.pick for entry in self.entries(pair)] if pair else []
+        numbers = [str(listed.index(pick) + 1) for pick in picks if pick in listed]
+        where = f" of {pair[0]}-{pair[1]}" if pair else ""
+        if deed.moved:
+            return Deed(pair, f"moving point {numbers[0] if numbers else ''}".rstrip() + where)
+        if deed.removed:
+            what = "a point" if len(picks) == 1 else f"{len(picks)} points"
+            return Deed(pair, f"erasing {what}{where}")
+        return Deed(pair, f"point {numbers[0] if numbers else ''}".rstrip() + where)
 
     def _withdraw(self, pick: Pick) -> None:
         known = self.find(pick)

@@ -1,11 +1,13 @@
 """The symmetric error matrix as texts: value, hyphen, `·` or `~`, and which values are bold."""
 
-import re
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Literal, get_args
 
-from fleetpose.hmi_client.model.records import Pair
+from fleetpose.hmi_client.model.records import Pair, natural
+from fleetpose.hmi_client.model.top_view import position_sigma_m
 from fleetpose.protocol.keys import ordered_pair
 from fleetpose.protocol.messages import FleetState, PairCell, Verdict
 
@@ -18,8 +20,9 @@ for all."""
 THRESHOLD_M = 1.0  # while no server has told the depth
 _DOUBTS = {"verified": 0.25, "plausible": 0.5, "ambiguous": 0.75, "rejected": 1.0}
 
-Quantity = Literal["rms", "regression", "overlap", "age", "verdict", "grave"]
+Quantity = Literal["rms", "sigma", "regression", "overlap", "age", "verdict", "grave"]
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
+_SHORT = {"verified": "sure", "plausible": "maybe", "ambiguous": "open", "rejected": "no"}
 _OF_A_POSE = ("rms", "regression", "overlap")  # where a rejected one has none
 
 
@@ -57,11 +60,6 @@ class Matrix:
         return Cell(THROUGH if are_joined(self.components, a, b) else UNTRIED)
 
 
-def natural(name: str) -> tuple[str | int, ...]:
-    """Sorting key by which r2 comes before r10."""
-    return tuple(int(part) if k % 2 else part for k, part in enumerate(re.split(r"(\d+)", name)))
-
-
 def is_shown(cell: PairCell, threshold_m: float) -> bool:
     """Whether a cell shows its error: aligned, not rejected, not above the threshold."""
     tried = cell.state == "tried" and cell.rmse_m is not None and cell.verdict != "rejected"
@@ -83,6 +81,8 @@ def matrix_of(fleet: FleetState, threshold_m: float, quantity: Quantity = "rms")
     unit: Literal["cm", "m"] = "cm" if max(errors.values(), default=0.0) < 1.0 else "m"
     ranked = sorted(errors, key=lambda pair: -errors[pair])
     bold = set(ranked[: max(1, int(BOLD_SHARE * len(ranked)))])
+    if quantity == "sigma":
+        return _sigmas(fleet, robots)
     cells = {}
     highest = max((_value(c, quantity) for c in fleet.pairs if (c.i, c.j) in errors), default=0.0)
     for cell in fleet.pairs:
@@ -102,6 +102,29 @@ def matrix_of(fleet: FleetState, threshold_m: float, quantity: Quantity = "rms")
     return Matrix(robots, unit, cells, width, components_of(fleet))
 
 
+def _sigmas(fleet: FleetState, robots: tuple[str, ...]) -> Matrix:
+    """How unsure the pose of one robot in the other's is, cm, whether or not their pair was tried:
+    at most, as if their poses were known independently.
+    """
+    poses = {r.robot: r.pose for r in fleet.robots if r.pose is not None}
+    clicked = {(c.i, c.j) for c in fleet.pairs if c.correspondences > 0}
+    square = {robot: position_sigma_m(pose) ** 2 for robot, pose in poses.items()}
+    components = components_of(fleet)
+    known = {
+        ordered_pair(a, b): math.sqrt(square[a] + square[b])
+        for a, b in combinations(robots, 2)
+        if are_joined(components, a, b)
+    }
+    largest = max(known.values(), default=0.0) or 1.0
+    cells = {
+        pair: Cell(f"{100 * sigma:.1f}", clicked=pair in clicked, level=sigma / largest)
+        for pair, sigma in known.items()
+    }
+    cells |= {pair: Cell(UNTRIED, clicked=True) for pair in clicked - set(cells)}
+    width = max((len(cell.text) for cell in cells.values()), default=1)
+    return Matrix(robots, "cm", cells, width, {})
+
+
 def _is_hidden(cell: PairCell, quantity: Quantity, error_shown: bool) -> bool:
     if quantity == "grave":
         return cell.p_grave is None
@@ -112,7 +135,8 @@ def _is_hidden(cell: PairCell, quantity: Quantity, error_shown: bool) -> bool:
 def title_of(quantity: Quantity, unit: str) -> str:
     """What a matrix shows, with its unit."""
     return {
-        "rms": f"errors (rms), {unit}",
+        "rms": f"point residual (rms), {unit}",
+        "sigma": "pose sigma (at most), cm",
         "regression": "regression errors, m2",
         "overlap": "overlap, %",
         "age": "age, s",
@@ -124,7 +148,7 @@ def title_of(quantity: Quantity, unit: str) -> str:
 def _value(cell: PairCell, quantity: Quantity) -> float:
     """What is shown, as a number from 0 up."""
     match quantity:
-        case "rms":
+        case "rms" | "sigma":
             return cell.rmse_m or 0.0
         case "regression":
             return cell.regression_error_m2 or 0.0
@@ -140,7 +164,7 @@ def _value(cell: PairCell, quantity: Quantity) -> float:
 
 def _text(cell: PairCell, quantity: Quantity, unit: str) -> str:
     match quantity:
-        case "rms":
+        case "rms" | "sigma":
             rmse_m = cell.rmse_m or 0.0
             return f"{100 * rmse_m:.1f}" if unit == "cm" else f"{rmse_m:.2f}"
         case "regression":
@@ -150,7 +174,7 @@ def _text(cell: PairCell, quantity: Quantity, unit: str) -> str:
         case "age":
             return f"{cell.age_s:.0f}"
         case "verdict":
-            return f"{1 + cell.rivals} fit" if cell.rivals else (cell.verdict or "?")[:4]
+            return f"{1 + cell.rivals} fit" if cell.rivals else _SHORT[cell.verdict or "rejected"]
         case "grave":
             return percent_text(cell.p_grave or 0.0).removesuffix(" %")
 

@@ -15,13 +15,11 @@ class Onlooker(OperatorSession):
         "you may only look: your configuration is an observer's; clicks need an operator's"
     )
 
-    def undo(self) -> bool:
-        with self._changed:
-            self._say(self.refusal)
-        return False
+    def undo(self) -> NoReturn:
+        raise OperatorError(self.refusal)
 
-    def redo(self) -> bool:
-        return self.undo()
+    def redo(self) -> NoReturn:
+        raise OperatorError(self.refusal)
 
     def pick(self, *_: object, **__: object) -> NoReturn:
         raise OperatorError(self.refusal)

@@ -1,5 +1,6 @@
 """Pictures decoded, once for all who look at them."""
 
+import threading
 from collections import OrderedDict
 
 import cv2
@@ -53,16 +54,21 @@ def grey_of(picture: Picture) -> Image:
 
 
 class GreyImages:
-    """The last images that were asked for."""
+    """The last images that were asked for, by any thread."""
 
     def __init__(self) -> None:
         self._kept: OrderedDict[ViewName, Image] = OrderedDict()
+        self._lock = threading.Lock()
 
     def of(self, picture: Picture) -> Image:
         """`grey_of`, at once if it was asked before."""
-        if picture.view not in self._kept:
-            self._kept[picture.view] = grey_of(picture)
+        with self._lock:
+            grey = self._kept.get(picture.view)
+        if grey is None:
+            grey = grey_of(picture)  # outside of the lock: a hand may wait for another image
+        with self._lock:
+            self._kept[picture.view] = grey
+            self._kept.move_to_end(picture.view)
             while len(self._kept) > _KEPT:
                 self._kept.popitem(last=False)
-        self._kept.move_to_end(picture.view)
-        return self._kept[picture.view]
+        return grey

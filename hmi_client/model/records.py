@@ -1,5 +1,6 @@
 """What the operator's session is made of: pictures, picks and the lines of the list."""
 
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -62,6 +63,14 @@ class HalfPick:
 
 
 @dataclass(frozen=True)
+class Deed:
+    """What was taken back or done again, in words, and in which pair."""
+
+    pair: Pair | None
+    text: str
+
+
+@dataclass(frozen=True)
 class Entry:
     """One line of the list of correspondences of a pair.
 
@@ -90,3 +99,8 @@ def new_events(old: tuple[str, ...], new: tuple[str, ...]) -> tuple[str, ...]:
         if old[-kept:] == new[:kept]:
             return new[kept:]
     return new
+
+
+def natural(name: str) -> tuple[str | int, ...]:
+    """Sorting key by which r2 comes before r10."""
+    return tuple(int(part) if k % 2 else part for k, part in enumerate(re.split(r"(\d+)", name)))

@@ -11,7 +11,7 @@ from typing import ClassVar, TypeVar
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.fleet_model import FleetModel
 from fleetpose.hmi_client.model.matrix import default_threshold_m
-from fleetpose.hmi_client.model.records import HalfPick, Pair, Picture, PixelUV
+from fleetpose.hmi_client.model.records import Deed, HalfPick, Pair, Picture, PixelUV
 from fleetpose.hmi_client.network.outbox import Ticket
 from fleetpose.hmi_client.network.update_log import UpdateLog
 from fleetpose.protocol.keys import checked_name, ordered_pair
@@ -250,16 +250,25 @@ class OperatorSession(FleetModel):
         """
         return self._do(lambda: self._book.clear(pair))
 
-    def undo(self) -> bool:
-        """Takes back the operator's last step; the first undo drops a half pick."""
+    def undo(self) -> Deed | None:
+        """Takes back the operator's last step and tells which; the first undo drops a half pick;
+        none where there is nothing, or the server is still to say what came of it.
+        """
         with self._changed:
             if self.half is not None:
-                return self.cancel()
+                self.cancel()
+                return Deed(self.pair, "half a point")
             return self._do(self._book.undo)
 
-    def redo(self) -> bool:
-        """Does again what was undone last."""
+    def redo(self) -> Deed | None:
+        """Does again what was undone last, and tells which step that was."""
         return self._do(self._book.redo)
+
+    def undoable(self) -> tuple[str | None, str | None]:
+        """What undo and redo would do now, in words; none where there is nothing."""
+        with self._changed:
+            undo, redo = self._book.undoable()
+            return ("half a point" if self.half is not None else undo), redo
 
     # ---- what is to be sent ----------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from fleetpose.hmi_client.model.records import natural
 from fleetpose.protocol.messages import RobotPose
 
 Floats = npt.NDArray[np.float64]
@@ -42,3 +43,24 @@ def ground_ellipse(pose: RobotPose, sigmas: float = 2.0, points: int = 48) -> Fl
     circle = np.stack((np.cos(angles), np.sin(angles)))
     radii = sigmas * np.sqrt(np.maximum(values, 0.0))
     return position(pose)[:2] + (axes @ (radii[:, None] * circle)).T
+
+
+def layout(poses: dict[str, RobotPose], anchor: str | None) -> dict[str, Floats]:
+    """Where to draw each robot, (2,) metres.
+
+    Poses compare only within a component. That of the anchor stands where it is; the others are put
+    below it, one beneath the other, with their own origins.
+    """
+    parts: dict[str, list[str]] = {}
+    for robot in sorted(poses, key=natural):
+        parts.setdefault(poses[robot].component, []).append(robot)
+    places: dict[str, Floats] = {}
+    bottom = None
+    for component in sorted(parts, key=lambda c: (c != anchor, natural(c))):
+        here = np.array([position(poses[robot])[:2] for robot in parts[component]])
+        if bottom is not None:
+            gap = 0.4 * max(float(np.abs(np.array(list(places.values()))).max()), 1.0)
+            here = here - (here.mean(0)[0], here[:, 1].max() - bottom + gap)
+        places.update(zip(parts[component], here, strict=True))
+        bottom = min(float(here[:, 1].min()), 0.0 if bottom is None else bottom)
+    return places

@@ -17,7 +17,7 @@ from fleetpose.hmi_client.network.view_requests import Fetcher
 from fleetpose.protocol.drops import Drops
 from fleetpose.protocol.errors import FleetPoseError, UnreachableError
 from fleetpose.protocol.keys import Keys
-from fleetpose.protocol.messages import ViewName
+from fleetpose.protocol.messages import View, ViewName
 from fleetpose.protocol.presence import LiveServer
 from fleetpose.protocol.transport import Link, Sample, Slots
 
@@ -179,6 +179,17 @@ class Client:
             UnreachableError: nobody answers, or nobody has it any more.
             PictureError: what was answered is no image of it.
         """
+        return self._fetcher().picture(view)
+
+    def fetch_view(self, view: ViewName) -> View:
+        """Asks for a view without its image; see `Fetcher.view`.
+
+        Raises:
+            UnreachableError: nobody answers, or nobody has it any more.
+        """
+        return self._fetcher().view(view)
+
+    def _fetcher(self) -> Fetcher:
         if self._link is None:
             raise UnreachableError("not connected to a router yet")
-        return Fetcher(self.session, self.keys, self._link).picture(view)
+        return Fetcher(self.session, self.keys, self._link)

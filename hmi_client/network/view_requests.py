@@ -15,7 +15,7 @@ from fleetpose.hmi_client.network.message_decoder import checked_picture
 from fleetpose.protocol.codec import unpack
 from fleetpose.protocol.errors import CodecError, FleetPoseError, UnreachableError
 from fleetpose.protocol.keys import Keys
-from fleetpose.protocol.messages import ImageHeader, KeptView, ViewName
+from fleetpose.protocol.messages import ImageHeader, KeptView, View, ViewName
 from fleetpose.protocol.transport import Link
 
 log = logging.getLogger(__name__)
@@ -69,6 +69,14 @@ class Fetcher:
             raise PictureError(f"view '{view}' came with the image of '{header.view}'")
         return checked_picture(header, kept.jpeg, kept.view.camera, self._session.clock())
 
+    def view(self, view: ViewName) -> View:
+        """Asks for a view without its image.
+
+        Raises:
+            UnreachableError: nobody answers, or nobody has it any more.
+        """
+        return self._kept(view, "image=no;").view
+
     # ---- inside ----------------------------------------------------------------------------------
 
     def _try(self, what: str, robot: str, work: Callable[[], None]) -> None:
@@ -109,7 +117,7 @@ class Fetcher:
 
     def _fetch_depths(self, view: ViewName) -> None:
         try:
-            self._session.on_depths(Depths.of(self._kept(view, "image=no;").view))
+            self._session.on_depths(Depths.of(self.view(view)))
         except UnreachableError as error:  # one can pick without; the server has the last word
             log.info("%s", error)
 

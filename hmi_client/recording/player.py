@@ -151,14 +151,18 @@ class Player:
             self._until_s = max(self._until_s, at_s)
             self._changed.notify_all()
 
-    def run(self, stop: threading.Event | None = None) -> None:
+    def run(self, stop: threading.Event | None = None, paused: bool = False) -> None:
         """Plays to the end, or until told to stop.
+
+        Args:
+            stop: ends it.
+            paused: stand still, once what is to be skipped is played.
 
         Raises:
             RecordingError: the file cannot be read any more.
         """
         stop = stop or threading.Event()
-        self._clock.set(0.0, paused=False)
+        self._clock.set(0.0, paused)
         for record in self._recording:
             self._wait(record.at_s, stop)
             if stop.is_set():

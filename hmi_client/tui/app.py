@@ -2,15 +2,18 @@
 
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from textual.app import App, ComposeResult
 from textual.driver import Driver
-from textual.widgets import Footer
 
-from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.desk.desk import Desk
+from fleetpose.hmi_client.desk.keymap import KeyMap, of_place
+from fleetpose.hmi_client.desk.words import farewell
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.tui import bindings
 from fleetpose.hmi_client.tui.drawing import palette
+from fleetpose.hmi_client.tui.panels.footer import KeyLine
 from fleetpose.hmi_client.tui.panels.image_panel import ImagePanel
 from fleetpose.hmi_client.tui.panels.list_panel import ListPanel
 from fleetpose.hmi_client.tui.panels.map_panel import MapPanel
@@ -23,7 +26,8 @@ from fleetpose.hmi_client.tui.site_view import SiteView
 from fleetpose.hmi_client.tui.stylesheet import CSS
 from fleetpose.hmi_client.tui.terminal.driver import PatientDriver
 
-THRESHOLD_STEP = 1.25
+_PANELS = ("panel-map", "panel-matrix", "panel-list", "panel-left", "panel-right")
+_SITE_STEPS = {"site": 1, "site-before": -1}
 
 
 class FleetApp(App[None]):
@@ -34,6 +38,7 @@ class FleetApp(App[None]):
         fps: how often the sessions are looked at.
         failure: tells a bug of a connection, which ends the app.
         keymap: the keys of the commands.
+        where: how sentences call each site and its server.
         driver: of the terminal; default: Textual's choice.
     """
 
@@ -48,16 +53,22 @@ class FleetApp(App[None]):
         fps: float = 10.0,
         failure: Callable[[], Exception | None] = lambda: None,
         driver: type[Driver] | None = None,
-        keymap: bindings.KeyMap = bindings.KeyMap({}),  # noqa: B008, it cannot be changed
+        keymap: KeyMap = KeyMap(),  # noqa: B008, it cannot be changed
+        where: Mapping[str, str] | None = None,
     ) -> None:
         super().__init__(driver_class=driver)
         self.keymap = keymap
         self._period_s = 1.0 / fps
         self._failure = failure
         names = keymap.names()
-        self.views = {name: SiteView(name, session, names) for name, session in sites.items()}
+        told = where or {}
+        self.views = {
+            name: SiteView(name, Desk(session, names, told.get(name, "")))
+            for name, session in sites.items()
+        }
         self.view = next(iter(self.views.values()))
         self.sites = SitesPanel(sites, self.view.site, names)
+        self.keys = KeyLine(keymap, len(sites) > 1, lambda command: self._press(command.id))
 
     # ---- what is shown ---------------------------------------------------------------------------
 
@@ -100,20 +111,28 @@ class FleetApp(App[None]):
         for view in self.views.values():
             view.display = view is self.view
             yield view
-        yield Footer(compact=True)
-
-    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """There is no other site to go to where there is but one."""
-        return action != "site" or len(self.views) > 1
+        yield self.keys
 
     def on_mount(self) -> None:
-        self.set_keymap(dict(self.keymap.changed))
+        self.set_keymap(bindings.changed_keys(self.keymap))
         self.view.give_keys(self.matrix)
         self.set_interval(self._period_s, self.tick)
+
+    def on_unmount(self) -> None:
+        for view in self.views.values():
+            view.desk.close()
+
+    def farewell(self) -> tuple[str, ...]:
+        """A line per site of what was done there."""
+        desks = {site: view.desk for site, view in self.views.items()}
+        lines = {site: farewell(desk.session, desk.done) for site, desk in desks.items()}
+        several = len(lines) > 1
+        return tuple(f"{site}: {text}" if several else text for site, text in lines.items())
 
     def on_resize(self) -> None:
         if isinstance(self._driver, PatientDriver):
             self._driver.forget()
+        self.view.make_room()
 
     def action_redraw(self) -> None:
         """Draws all of the screen again, whatever the terminal shows."""
@@ -131,6 +150,8 @@ class FleetApp(App[None]):
             return
         with self.batch_update():
             self.view.follow(time.monotonic())
+            self.keys.place = self.view.place
+            self.keys.repaint()
             if len(self.views) > 1:
                 self.sites.repaint()
 
@@ -139,7 +160,8 @@ class FleetApp(App[None]):
     def action_site(self, step: int) -> None:
         """Shows the next site (-1: the one before)."""
         names = list(self.views)
-        self.show_site(names[(names.index(self.view.site) + step) % len(names)])
+        if len(names) > 1:
+            self.show_site(names[(names.index(self.view.site) + step) % len(names)])
 
     def on_sites_panel_chosen(self, chosen: SitesPanel.Chosen) -> None:
         self.show_site(chosen.site)
@@ -159,72 +181,50 @@ class FleetApp(App[None]):
 
     # ---- commands --------------------------------------------------------------------------------
 
-    def action_question(self, step: int) -> None:
-        if self.session.next_question(step):
-            self.view.give_keys(self.images[0])
+    def action_do(self, command: str) -> None:
+        """A command by its key: of the whole screen, or done at the desk of the site shown."""
+        if command.startswith("panel-"):
+            self.view.give_keys(self.panels[_PANELS.index(command)])
+        elif command in _SITE_STEPS:
+            self.action_site(_SITE_STEPS[command])
+        elif command == "redraw":
+            self.action_redraw()
         else:
-            self.notify("The server asks nothing at present.", timeout=3)
+            self.view.do(command, **self._meant(command))
+            self._turn_page()
         self.tick()
 
-    def action_panel(self, number: int) -> None:
-        """The keys go to a panel: map, matrix, list, or one of the two images."""
-        self.view.give_keys(self.panels[number - 1])
-
-    # ---- pages -----------------------------------------------------------------------------------
-
-    def action_help(self) -> None:
-        self.push_screen(Page("keys and signs", lambda: help_text(self.keymap)))
-
-    def action_events(self) -> None:
-        self.push_screen(Page("events, the newest first", lambda: events_text(self.session)))
-
-    def action_why(self) -> None:
-        """Why the robot under the matrix's cursor, or of the selected pair, is located or not."""
-        robots = self.session.robots()
-        if not robots:
-            self.notify("No robot is known yet.", timeout=3)
-            return
-        row = min(self.matrix.cursor[0], len(robots) - 1)
-        robot = self.session.pair[0] if self.session.pair else robots[row]
-        pages = WhyPages(self.session, robot if robot in robots else robots[row])
-        self.push_screen(Page("why is it located, or not", pages.text, pages.step))
-
-    def action_undo(self) -> None:
-        self.session.undo()
-        self.tick()
-
-    def action_redo(self) -> None:
-        self.session.redo()
-        self.tick()
-
-    def action_cancel(self) -> None:
-        self.view.proposals.end()
-        self.session.cancel()
-        self.tick()
-
-    def action_freeze(self) -> None:
-        self.session.toggle_freeze()
-        self.tick()
-
-    def action_erase(self) -> None:
-        """Erases the list's current entry, or in an image the one nearest to the cursor."""
+    def _press(self, command: str) -> None:
+        """A command that was clicked: as its key, for the panel that has the keys."""
         panel = self.focused
-        entry = panel.nearest() if isinstance(panel, ImagePanel) else self.list.current()
-        if entry is None or entry.id is None or self.session.pair is None:
-            self.notify("There is no confirmed correspondence to erase here.", timeout=3)
-            return
-        try:
-            self.session.erase(self.session.pair, entry.id)
-        except OperatorError as error:
-            self.notify(str(error), severity="warning", timeout=4)
-        self.tick()
+        place = {c.id for c in of_place(self.view.place)}
+        if command in place and isinstance(panel, PanelMixin):
+            panel.action_do(command)
+        else:
+            self.action_do(command)
 
-    def action_threshold(self, direction: int) -> None:
-        self.session.set_threshold(self.session.threshold_m * THRESHOLD_STEP**direction)
-        self.tick()
+    def _meant(self, command: str) -> dict[str, object]:
+        """What a command is for: the list's entry, the image at work, the robot in the matrix."""
+        if command == "erase" and not isinstance(self.focused, ImagePanel):
+            entry = self.list.current()
+            return {"id": -1 if entry is None or entry.id is None else entry.id}
+        if command == "why" and self.session.pair is None and self.session.robots():
+            robots = self.session.robots()
+            return {"robot": robots[min(self.matrix.cursor[0], len(robots) - 1)]}
+        return {}
 
-    def action_overview(self) -> None:
-        self.view.toggle_overview()
-
-    def action_maximise(self) -> None:
-        self.view.toggle_maximised()
+    def _turn_page(self) -> None:
+        """Shows the page that the desk has opened, or ends."""
+        desk = self.view.desk
+        page, desk.page = desk.page, ""
+        match page:
+            case "help":
+                self.push_screen(Page("keys and signs", lambda: help_text(self.keymap)))
+            case "events":
+                text = partial(events_text, self.session)
+                self.push_screen(Page("events, the newest first", text))
+            case "why":
+                pages = WhyPages(self.session, desk.about)
+                self.push_screen(Page("why is it located, or not", pages.text, pages.step))
+        if desk.left:
+            self.exit()

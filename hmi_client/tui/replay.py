@@ -7,13 +7,14 @@ from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.strip import Strip
 
+from fleetpose.hmi_client.desk.keymap import KeyMap
+from fleetpose.hmi_client.local_files import keymap_of
 from fleetpose.hmi_client.recording.player import PlayClock, PlayedSession, Player
 from fleetpose.hmi_client.tui.app import FleetApp
-from fleetpose.hmi_client.tui.bindings import KeyMap
 from fleetpose.hmi_client.tui.drawing import palette
 from fleetpose.hmi_client.tui.drawing.palette import style
 from fleetpose.hmi_client.tui.panels.panel import PanelMixin, line
-from fleetpose.hmi_client.tui.run import keymap_of, own_screen
+from fleetpose.hmi_client.tui.run import own_screen
 from fleetpose.hmi_client.tui.terminal.driver import PatientDriver
 from fleetpose.protocol.recording.file import Recording
 
@@ -73,6 +74,7 @@ class ReplayApp(FleetApp):
         self._thread.start()
 
     def on_unmount(self) -> None:
+        super().on_unmount()
         self._stop.set()
         self._thread.join(timeout=5.0)
 

@@ -3,7 +3,6 @@
 import asyncio
 import ctypes
 import gc
-import logging
 import os
 import sys
 import time
@@ -13,19 +12,15 @@ from pathlib import Path
 
 from fleetpose.hmi_client.cli.connection import DEFAULT_SITE, Connection
 from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.local_files import default_log, keymap_of, own_log, own_updates
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.network.client import Client
 from fleetpose.hmi_client.network.shared import SharedLink
-from fleetpose.hmi_client.network.update_log import UpdateLog
 from fleetpose.hmi_client.tui.app import FleetApp
-from fleetpose.hmi_client.tui.bindings import KeyMap
 from fleetpose.hmi_client.tui.drawing import palette
 from fleetpose.hmi_client.tui.terminal.driver import PatientDriver
-from fleetpose.protocol.keys import checked_name
-from fleetpose.protocol.logs import log_to_file
 from fleetpose.protocol.recording.file import Recorder
 
-log = logging.getLogger(__name__)
 _M_ARENA_MAX = -8  # of glibc's malloc.h
 
 RETRY_TIMEOUT_S = 2.0  # per attempt to reach the router; the screen is there meanwhile
@@ -73,9 +68,11 @@ def run_screen(
             lambda: next((c.failure for c in clients.values() if c.failure), None),
             PatientDriver,
             keymap,
+            {w.site: f"of {w.site} at {', '.join(w.connect)}" for w in sites},
         )
         palette.has(app.console.color_system)
         app.run()
+    print("\n".join(app.farewell()))
     if recorder is not None:
         print(recorder.report())
 
@@ -163,18 +160,14 @@ async def _draw(
     async with app.run_test(size=size) as pilot:
         await pilot.pause(0.1)
         if session.pair is not None:
-            app.images[0].focus()
+            app.view.give_keys(app.images[0])
         if maximise:
-            app.action_maximise()
+            app.view.do("maximise")
         while not is_complete(session) and time.monotonic() < end:
             await pilot.pause(0.1)
         for panel in app.panels:
             panel.repaint()
         await pilot.pause(0.3)
-        for _ in range(20):  # the footer is composed anew after each change of focus
-            if app.query("FooterKey"):
-                break
-            await pilot.pause(0.1)
         return app.export_screenshot(title="fleetpose"), is_complete(session)
 
 
@@ -182,56 +175,6 @@ def is_complete(session: OperatorSession) -> bool:
     """Whether poses and, with a pair selected, both images are there."""
     images = all(session.picture(robot) is not None for robot in session.pair or ())
     return bool(session.poses()) and images
-
-
-def keymap_of(path: Path | None) -> KeyMap:
-    """The keys by a file, or by that in the user's config folder if there is one.
-
-    Raises:
-        OperatorError: the file is not right.
-    """
-    config = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
-    usual = Path(config) / "fleetpose" / "keys.toml"
-    if path is None and not usual.exists():
-        return KeyMap({})
-    return KeyMap.read(path or usual)
-
-
-def default_log() -> Path:
-    """The log file in the user's state folder."""
-    return state_folder() / "hmi-client.log"
-
-
-def state_folder() -> Path:
-    """Where the client keeps what outlives it."""
-    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(state) / "fleetpose"
-
-
-def own_updates(where: Connection) -> UpdateLog | None:
-    """The operator's file of updates on their way, None while another client has it, and of who
-    only looks.
-    """
-    if where.looks_only:
-        return None
-    name = f"updates-{checked_name(where.site)}-{checked_name(where.operator)}.sqlite"
-    try:
-        return UpdateLog(state_folder() / name)
-    except OperatorError as error:
-        log.warning("clicks on their way do not outlive a crash: %s", error)
-        return None
-
-
-def own_log(path: Path) -> None:
-    """Sends all logging to a file: anything on stderr would be drawn over the screen.
-
-    Raises:
-        OperatorError: the file cannot be written.
-    """
-    try:
-        log_to_file(path)
-    except OSError as error:
-        raise OperatorError(f"log file {path} cannot be written: {error.strerror}") from error
 
 
 @contextmanager

@@ -28,6 +28,8 @@ SiteView { height: 1fr; }
 .maximised #images { layout: horizontal; }
 .overview #map, .overview #list, .overview #images { display: none; }
 #status { height: 3; }
+.narrow #status { height: 4; }
+#keys { height: 1; dock: bottom; }
 #play { height: 1; }
 ToastRack { align: left bottom; }
 Page { align: center middle; }
@@ -41,5 +43,4 @@ Page { align: center middle; }
     border-subtitle-color: $fp-dim;
     padding: 0 1;
 }
-Footer { background: $fp-why; }
 """

@@ -38,7 +38,7 @@ from fleetpose.pose_server.correspondences.journal import Journal, StoredView
 from fleetpose.pose_server.correspondences.records import JournalError, Session
 from fleetpose.pose_server.correspondences.store import Outcome
 from fleetpose.pose_server.persistence.graph_writer import GraphWriter, graph_of
-from fleetpose.pose_server.persistence.restore import GRAPH
+from fleetpose.pose_server.persistence.restore import GRAPH, note_frame
 from fleetpose.pose_server.scheduling import affine_retries
 from fleetpose.pose_server.scheduling.pair_queue import compare_some
 from fleetpose.pose_server.settings import ServerSettings
@@ -113,7 +113,7 @@ class Service:
         self._next: dict[str, float] = {}
         self._solved_s = self._solve_took_s = 0.0
         self._clean_s = 0.0
-        self._noted_anchor: str | None = None
+        self._noted_frame: tuple[str | None, int] | None = None
         self._unclicked = self._clicks_aligned = False
         self._unanswered: dict[Session, OperatorUpdate] = {}
         self._untold: set[tuple[str, str]] = set()
@@ -374,20 +374,21 @@ class Service:
         self._clicks_aligned = False
         with self._stages.timed("solve"):
             pipeline.solve(self.site, now)
-        if pipeline.note_components(self.site) or self.site.anchor != self._noted_anchor:
-            self._noted_anchor = self.site.anchor
-            self._note_gauge()
+        pipeline.note_components(self.site)
+        self._note_frame()
         self._solve_took_s = time.monotonic() - now
         self._solved_s = time.monotonic()
         for pair in pipeline.judge_correspondences(self.site):
             self._publisher.correspondences(pair)
 
-    def _note_gauge(self) -> None:
+    def _note_frame(self) -> None:
         """After a restart the fleet frame must not silently be another one."""
+        now = (self.site.anchor, self.site.gauge_revision)
+        if now == self._noted_frame:
+            return
+        self._noted_frame = now
         try:
-            self.journal.note(
-                anchor=self.site.anchor or "", gauge_revision=str(self.site.gauge_revision)
-            )
+            note_frame(self.journal, self.site)
         except JournalError as error:
             log.error("the gauge was not recorded: %s", error)
 

@@ -332,7 +332,7 @@ def fleet_state(
         stamp_ns=stamp.now_ns,
         anchor=site.anchor,
         gauge_revision=site.gauge_revision,
-        up_assumed=site.gauge is None or site.views[site.gauge].up_camera is None,
+        up_assumed=site.gauge is None or not site.knows_up(site.gauge),
         robots=robots,
         pairs=pair_cells(site, stamp.now_s, {} if cells is None else cells),
         questions=questions(site, stamp.now_s),

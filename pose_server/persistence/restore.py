@@ -8,6 +8,7 @@ from typing import TypedDict, Unpack
 
 import numpy as np
 
+from fleetpose.pose_server.consistency.levelling import levels_text, recall_levels
 from fleetpose.pose_server.correspondences.journal import Journal
 from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose
@@ -66,7 +67,21 @@ def restored_site(
     encoded = {**graph.keyframes, **{stored.name: stored.encoded for stored in journal.views()}}
     views = [view for name, data in encoded.items() if (view := _opened(name, data, now_s))]
     restore(site, views, graph.edges.values(), graph.gauge, graph.followed)
+    recall_levels(site, journal.noted("levels") or "[]")
     return site
+
+
+def note_frame(journal: Journal, site: Site) -> None:
+    """Writes down what the fleet's frame is, so that after a restart it is not silently another.
+
+    Raises:
+        JournalError: it cannot be written.
+    """
+    journal.note(
+        anchor=site.anchor or "",
+        gauge_revision=str(site.gauge_revision),
+        levels=levels_text(site),
+    )
 
 
 def restore(

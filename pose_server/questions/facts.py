@@ -83,9 +83,12 @@ def _ranked(site: Site, newest: dict[str, ViewName]) -> tuple[Question, ...]:
 
 def _is_up_to_the_operator(site: Site, a: str, b: str) -> bool:
     """Nobody is asked what the machine may still find out by itself, or where there is hardly any
-    depth to click at.
+    depth to click at, or an image of the past.
     """
     if any(name in site.robots and site.robots[name].blind for name in (a, b)):
+        return False
+    doubts = (site.doubts.standing.get(name) for name in (a, b))
+    if any(doubt is not None and doubt.kind == "frozen" for doubt in doubts):
         return False
     if (a, b) in site.skip:
         return True

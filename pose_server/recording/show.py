@@ -1,5 +1,5 @@
-"""A recording of a site as another viewer shows it: what was said is opened in order and handed to
-a `Viewer`.
+"""A site as another viewer shows it, recorded or as it is: what is said is opened in order and
+handed to a `Viewer`.
 
 Moments are those at which a view arrived, by the clock of who recorded: robots' clocks, which may
 be off, show nothing at the wrong place.
@@ -20,6 +20,7 @@ from fleetpose.protocol.codec import encoding_of, unpack
 from fleetpose.protocol.errors import CodecError, FleetPoseError
 from fleetpose.protocol.messages import (
     Camera,
+    CameraAnnouncement,
     FleetState,
     ImageHeader,
     RobotPose,
@@ -47,7 +48,7 @@ class ShownLink:
 
 
 class Viewer(Protocol):
-    """What a recording is shown in. Moments are nanoseconds, UTC."""
+    """What a site is shown in. Moments are nanoseconds, UTC."""
 
     def pose(self, said_ns: int, of_ns: int, pose: RobotPose, camera: Camera, colour: Rgb) -> None:
         """A located robot's pose at the moment of its view."""
@@ -101,7 +102,7 @@ class Counted:
 
 @dataclass
 class Show:
-    """Shows one recording in one viewer."""
+    """Shows one site in one viewer."""
 
     viewer: Viewer
     count: Counted = field(default_factory=Counted)
@@ -119,6 +120,9 @@ class Show:
             match record.sample.encoding:
                 case encoding if encoding == encoding_of(View):
                     self._view(record)
+                case encoding if encoding == encoding_of(CameraAnnouncement):
+                    announced = unpack(CameraAnnouncement, record.sample.payload)
+                    self._cameras.setdefault(announced.robot, announced.camera)
                 case encoding if encoding == encoding_of(RobotPose):
                     self._pose(record)
                 case encoding if encoding == encoding_of(FleetState):

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
+import numpy.typing as npt
+
 from fleetpose.protocol.messages import ViewName
 
 
@@ -15,6 +18,7 @@ class Anchoring:
         left_s: since when no robot sees the origin's part of the map while some see each other.
         waits_s: since when robots are there but not the one that is to be the anchor.
         missing: what is said of an anchor that nobody has seen; empty if there is nothing to say.
+        levels: R_fleet_robot (3, 3) of the origins at which the frame was turned upright.
     """
 
     asked: str | None = None
@@ -22,6 +26,7 @@ class Anchoring:
     left_s: float | None = None
     waits_s: float | None = None
     missing: str = ""
+    levels: dict[ViewName, npt.NDArray[np.float64]] = field(default_factory=dict)
 
     def has_left(self, now_s: float, patience_s: float) -> bool:
         """No robot sees the origin while some see each other; whether that has been so for long."""
@@ -51,3 +56,11 @@ class Anchoring:
     def move(self, left: ViewName, to: ViewName) -> None:
         """The origin is elsewhere from now on."""
         self.origins = [view for view in (*self.origins, left) if view != to]
+
+    def set_level(self, origin: ViewName, R_fleet_robot: npt.NDArray[np.float64]) -> None:
+        """The frame of an origin is turned so from now on."""
+        self.levels[origin] = R_fleet_robot
+
+    def forget(self, view: ViewName) -> None:
+        """A keyframe is none any more, and no origin."""
+        self.levels.pop(view, None)

@@ -15,7 +15,7 @@ from fleetpose.pose_server.correspondences.store import CorrespondenceStore
 from fleetpose.pose_server.frontend.frames import upright
 from fleetpose.pose_server.frontend.tracks import KeyframeRelativePose
 from fleetpose.pose_server.geometry.methods import IcpMethod
-from fleetpose.pose_server.geometry.se3 import compose_covariance, inverse
+from fleetpose.pose_server.geometry.se3 import compose_covariance, inverse, make_pose
 from fleetpose.pose_server.pose_graph.types import Edge, EdgeKey, FleetSolution
 from fleetpose.pose_server.retrieval.view_index import ViewIndex
 from fleetpose.pose_server.scheduling.settings import Weights
@@ -265,6 +265,7 @@ class Site:
         """A keyframe is none any more."""
         for key in [key for key in self.edges if view in key[:2]]:
             self.unlink(key)
+        self.anchoring.forget(view)
         self._similarities = {at: v for at, v in self._similarities.items() if view not in at}
         for record in self.pairs.values():
             record.forget(view)
@@ -406,13 +407,19 @@ class Site:
 
     def fleet_from_root(self, root: ViewName) -> Floats:
         """T_fleet_root: the fleet frame is the body of the root's robot, turned upright where
-        gravity is known.
+        gravity is known: by all that knew it when the frame was levelled, else by the root itself.
         """
-        kept = self.views[root]
+        kept, R_fleet_robot = self.views[root], self.anchoring.levels.get(root)
         T_robot_camera = kept.camera.T_robot_camera
+        if R_fleet_robot is not None:
+            return make_pose(R_fleet_robot, np.zeros(3)) @ T_robot_camera
         if kept.up_camera is None:
             return T_robot_camera
         return upright(T_robot_camera[:3, :3] @ kept.up_camera) @ T_robot_camera
+
+    def knows_up(self, root: ViewName) -> bool:
+        """Whether z is up in the frame of a component."""
+        return root in self.anchoring.levels or self.views[root].up_camera is not None
 
     def link(self, edge: Edge) -> None:
         """Adds or replaces a link between two keyframes."""

@@ -55,6 +55,7 @@ class KeptView:
     median_depth_m: float
     has_image: bool
     up_camera: npt.NDArray[np.float64] | None
+    up_sigma_rad: float | None
     signature: npt.NDArray[np.uint8]
     signature_uv: npt.NDArray[np.float32]
     content: int
@@ -97,6 +98,7 @@ def open_view(
             received_s=now_s,
             has_image=view.has_image,
             up_camera=view.up_camera,
+            up_sigma_rad=view.up_sigma_rad,
             frozen_s=view.frozen_s,
             on_way_s=view.on_way_s,
             share=view.share,
@@ -122,6 +124,7 @@ def open_view(
         median_depth_m=float(np.median(points.xyz[:, 2])),
         has_image=view.has_image,
         up_camera=view.up_camera,
+        up_sigma_rad=view.up_sigma_rad,
         signature=salient.descriptors[strongest],
         signature_uv=salient.uv[strongest],
         content=content,

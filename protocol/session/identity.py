@@ -13,7 +13,7 @@ from fleetpose.protocol.keys import checked_name
 from fleetpose.protocol.session import configuration
 from fleetpose.protocol.session.configuration import Configuration
 
-ROLES = ("robot", "server", "operator", "observer", "router", "health")
+ROLES = ("robot", "server", "operator", "observer", "recorder", "router", "health")
 
 
 @dataclass(frozen=True)

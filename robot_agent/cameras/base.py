@@ -7,12 +7,16 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from fleetpose.protocol.errors import FleetPoseError
+from fleetpose.protocol.errors import DataFolderError, FleetPoseError
 from fleetpose.protocol.messages import Camera as CameraModel
 
 
 class CameraError(FleetPoseError):
     """A camera's device or video is missing, busy, or has stopped; the sentence says what to do."""
+
+
+class OtherKindError(DataFolderError):
+    """A folder or file that is no recording of this kind of camera, and may be one of another."""
 
 
 @dataclass(frozen=True)

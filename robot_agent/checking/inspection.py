@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fleetpose.protocol.errors import DataFolderError
-from fleetpose.robot_agent.cameras.base import Camera, Frame
+from fleetpose.robot_agent.cameras.base import Camera, Frame, OtherKindError
 from fleetpose.robot_agent.cameras.factory import open_camera
 from fleetpose.robot_agent.cameras.kinds import CameraKind
 from fleetpose.robot_agent.cameras.stereo.video import is_device
@@ -97,7 +97,7 @@ def inspect(
                 frame = _first_frame(camera)
                 if kind == "bag":
                     told.lines[:0] = _roles_of(camera)
-            except DataFolderError as error:
+            except OtherKindError as error:
                 refusals.append(f"{kind}: {str(error).removeprefix(source).lstrip()}")
                 continue
             return _inspection(kind, source, frame, options, told.lines)

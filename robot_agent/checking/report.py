@@ -1,12 +1,13 @@
 """The whole check of a rig: from pairs of images to a verdict in words and numbers."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from fleetpose.protocol.errors import CalibrationError
 from fleetpose.robot_agent.cameras.stereo.matching import StereoMatcher
 from fleetpose.robot_agent.cameras.stereo.pairs import ImagePair
 from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
@@ -14,19 +15,18 @@ from fleetpose.robot_agent.checking.findings import (
     Finding,
     Part,
     explained,
-    judged,
     parts_of,
     rig_findings,
 )
 from fleetpose.robot_agent.checking.fit import Fit, fit_rig, pose_of
 from fleetpose.robot_agent.checking.matching import match_pairs, rectified
 from fleetpose.robot_agent.checking.scale import CheckError, Length, board_length, points_length
+from fleetpose.robot_agent.checking.scaling import overruled, scale_finding
 
 Floats = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
 Verdict = Literal["fits", "does not fit", "cannot tell"]
 
-SCALE_TOLERANCE = 0.01  # share of a length
 _LINE_EVERY_PX = 40
 _TURNED = ("rows", "disparities")
 
@@ -52,7 +52,8 @@ class Report:
         sentence: the verdict with its reasons and what to do.
         findings: what was measured, in the order in which it must be mended.
         parts: how the rig differs from the calibration; empty where matches are too few.
-        T_right_left: (4, 4) as the matches have it, with the calibration's baseline; None likewise.
+        T_right_left: (4, 4) as the matches have it, with the calibration's baseline; None likewise,
+            and where it cannot be told.
         baseline_m: of the calibration.
     """
 
@@ -88,11 +89,39 @@ def check_rig(pairs: list[ImagePair], rig: StereoRig, known: KnownLength | None 
     """
     if not pairs:
         raise CheckError("the source gave no pair of images")
+    report = _checked(pairs, rig, known)
+    if report.verdict == "does not fit" and (said := _of_another_lens(pairs, rig, known)):
+        return replace(report, sentence=f"{said}; {report.sentence}")
+    return report
+
+
+def _of_another_lens(pairs: list[ImagePair], rig: StereoRig, known: KnownLength | None) -> str:
+    """What to write if the same numbers fit as those of the other model of lenses, else empty."""
+    D = [np.ravel(one)[:4] for one in (rig.D_left, rig.D_right)]
+    if not all(one.any() for one in D) or any(one.size < 4 for one in D):
+        return ""
+    other, name = ("normal", "radtan") if rig.lens == "fisheye" else ("fisheye", "equidistant")
+    try:
+        turned = replace(rig, lens=other, D_left=D[0], D_right=D[1])
+        fits = _checked(pairs, turned, known).verdict != "does not fit"
+    except (CheckError, CalibrationError):
+        return ""
+    kind = "a fisheye" if other == "fisheye" else "a normal lens"
+    return (
+        f'the distortion is that of {kind}: write "distortion_model": "{name}" into the calibration'
+        if fits
+        else ""
+    )
+
+
+def _checked(pairs: list[ImagePair], rig: StereoRig, known: KnownLength | None) -> Report:
     matcher = StereoMatcher(rig)
     rectifier = matcher.rectifier
     images = [rectified(rectifier, pair) for pair in pairs]
     matches = match_pairs(images)
-    fit = fit_rig(matches, rectifier.K, rig.size) if len(matches.left) > 6 else _no_fit(matches)
+    fit = (
+        fit_rig(matches, rectifier.K, rectifier.size) if len(matches.left) > 6 else _no_fit(matches)
+    )
     findings = rig_findings(matches, fit, rectifier)
     parts, T_right_left = [], None
     if len(findings) > 2:  # else there is no fit to believe
@@ -101,8 +130,12 @@ def check_rig(pairs: list[ImagePair], rig: StereoRig, known: KnownLength | None 
         T_right_left = _corrected(fit, matcher)
     if known is not None:
         turned = any(f.state == "off" for f in findings)
-        findings.append(_scale(_measured(known, images, matcher), turned, rectifier.baseline_m))
+        length = _measured(known, images, matcher)
+        findings.append(scale_finding(length, turned, rectifier.baseline_m))
+        findings = overruled(findings)
     verdict, sentence = _verdict(findings, parts, scaled=known is not None)
+    if verdict == "cannot tell":
+        T_right_left = None  # nobody should correct a rig by what is not known
     return Report(verdict, sentence, findings, parts, T_right_left, rectifier.baseline_m)
 
 
@@ -129,28 +162,6 @@ def _measured(
     if known.points is None:
         raise CheckError("--length needs what it is the length of: --board or --points")
     return points_length(matcher, images[0], known.points, known.length_m)
-
-
-def _scale(length: Length, turned: bool, baseline_m: float) -> Finding:
-    state = judged(length.deviation, length.sigma, SCALE_TOLERANCE)
-    says = (
-        f"{length.of}: {length.measured_m:.4f} m instead of {length.known_m:g} m "
-        f"({100 * length.deviation:+.1f} %, sigma {100 * length.sigma:.2f})"
-    )
-    share, long = abs(100 * length.deviation), "long" if length.deviation > 0 else "short"
-    if state == "off" and turned:
-        says += ": a rig that is turned makes lengths wrong as well; mend that first, check again"
-    elif state == "off":
-        says += (
-            f": the baseline is {share:.1f} % too {long}, {baseline_m:.4f} m instead of "
-            f"{baseline_m / (1 + length.deviation):.4f} m; check the size of the squares or marks "
-            "that the calibration was made with"
-        )
-    elif state == "unclear":
-        says += ": take a longer length, nearer to the cameras"
-    return Finding(
-        "scale", 100 * length.deviation, 100 * length.sigma, 100 * SCALE_TOLERANCE, "%", state, says
-    )
 
 
 def _verdict(findings: list[Finding], parts: list[Part], scaled: bool) -> tuple[Verdict, str]:

@@ -8,6 +8,7 @@ from fleetpose.formats.arrays import FormatError
 from fleetpose.formats.reconstructions import bundler, colmap, nvm
 from fleetpose.formats.reconstructions.photos import Model
 from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.cameras.base import OtherKindError
 from fleetpose.robot_agent.reconstructions.model import Reconstruction
 from fleetpose.robot_agent.reconstructions.photos import reconstruction_of
 
@@ -82,7 +83,7 @@ def read_reconstruction(path: Path, only: str | None = None) -> Reconstruction:
     """
     file = find_reconstruction(path)
     if file is None:
-        raise DataFolderError(
+        raise OtherKindError(
             f"{path} holds no reconstruction: neither cameras.bin or cameras.txt (COLMAP), nor "
             "bundle.out (Bundler), nor an .nvm file (VisualSfM)"
         )

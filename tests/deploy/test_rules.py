@@ -25,8 +25,14 @@ SERVER, ANNA, WALL = (
     Identity("operator", "anna"),
     Identity("observer", "wall"),
 )
+LOG = Identity("recorder", "log")
 SITE = Site(
-    site="demo", routers={"a": "h"}, robots=("r1", "r2"), operators=("anna",), observers=("wall",)
+    site="demo",
+    routers={"a": "h"},
+    robots=("r1", "r2"),
+    operators=("anna",),
+    observers=("wall",),
+    recorders=("log",),
 )
 ACCESS = access_control(K, SITE.members())
 
@@ -71,6 +77,18 @@ SAID = {  # what each process says and hears when all goes well
         "subscribe": [K.state, K.status, K.poses, K.selection("*"), K.camera("*"), K.image("r2")],
         "ask": [K.view("r2"), K.why],
     },
+    LOG: {
+        "subscribe": [
+            *(K.camera("*"), K.odometry("*"), K.cloud("*"), K.image("*"), K.heard("*")),
+            *(K.updates("*"), K.selection("*"), K.receipts("*"), K.denials("*")),
+            *(K.poses, K.state, K.status, K.alignment("*", "*"), K.correspondences("*", "*")),
+        ],
+        "hear": [
+            *(K.camera("r1"), K.odometry("r1"), K.cloud("r1"), K.image("r1"), K.pose("r1")),
+            *(K.updates("anna"), K.receipts("anna"), K.correspondences("r1", "r2"), K.state),
+        ],
+        "see": [K.server_alive("*"), K.robot_alive("*", "*")],
+    },
 }
 ALL_KEYS = (
     *(K.camera("r1"), K.odometry("r1"), K.cloud("r1"), K.image("r1"), K.view("r1")),
@@ -99,7 +117,7 @@ def test_each_process_may_do_what_it_does(who):
 def test_nobody_says_what_is_not_its_own(verb):
     said = {
         (who.who, key)
-        for who in (R1, R2, SERVER, ANNA, WALL)
+        for who in (R1, R2, SERVER, ANNA, WALL, LOG)
         for key in ALL_KEYS
         if may(who, verb, key)
     }
@@ -111,7 +129,7 @@ def test_nobody_deletes_anything():
     assert not list(allowing(ACCESS, "server", INGRESS, "delete"))
 
 
-@pytest.mark.parametrize("who", [R2, WALL, ANNA], ids=lambda who: who.who)
+@pytest.mark.parametrize("who", [R2, WALL, ANNA, LOG], ids=lambda who: who.who)
 @pytest.mark.parametrize("verb", ["put", "answer", "show"])
 def test_no_wildcard_lets_somebody_speak_for_another(who, verb):
     flow, message = VERBS[verb]
@@ -178,7 +196,7 @@ def test_rules_of_a_large_site_are_made_in_seconds_and_stay_small():
     made = router_configurations(SITE.model_copy(update={"robots": robots}))["a"]
     assert time.monotonic() - began < 10
     assert len(json.dumps(made)) < 2_000_000
-    assert len(made["access_control"]["subjects"]) == len(robots) + 5
+    assert len(made["access_control"]["subjects"]) == len(robots) + 6
 
 
 def test_every_rule_is_of_one_direction_and_messages_that_zenoh_knows():

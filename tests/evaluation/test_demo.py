@@ -56,7 +56,7 @@ def test_no_terminal_or_headless_means_no_screen(monkeypatch):
 
 def test_one_robot_is_no_fleet():
     with pytest.raises(FleetPoseError, match="at least 2"):
-        run(1, 90.0, headless=True)
+        run(1, 90.0, "none")
 
 
 def processes_with(temporary: Path) -> list[int]:

@@ -84,11 +84,12 @@ def test_too_few_poses_have_no_error():
 @pytest.mark.parametrize(
     ("layout", "robots", "said"),
     [
-        ("s3e", "a", "ROS bags"),
+        ("s3e", "Alpha", "no bag there"),
+        ("graco", "", "name its robots"),
         ("laps", "a", "known are euroc"),
         ("tum", "none", "no folder"),
         ("tum", "fr1,fr1", "each once"),
-        ("tum", "", "each once"),
+        ("tum", "", "groundtruth.txt"),
     ],
 )
 def test_what_cannot_be_played_is_a_sentence(tmp_path, layout, robots, said):

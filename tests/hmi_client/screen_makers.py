@@ -38,6 +38,7 @@ def text(panel):
 
 async def press(pilot, *keys):
     await pilot.press(*keys)
+    pilot.app.view.desk.settle()
     pilot.app.tick()
     await pilot.pause()
 
@@ -46,5 +47,6 @@ async def selected(session, pilot, **size):
     session.select("r1", "r2")
     session.on_picture(picture("r1", **size)), session.on_picture(picture("r2", **size))
     pilot.app.tick()
-    pilot.app.images[0].focus()
+    pilot.app.view.give_keys(pilot.app.images[0])
+    pilot.app.tick()
     await pilot.pause()

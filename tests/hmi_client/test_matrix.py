@@ -17,10 +17,10 @@ from fleetpose.hmi_client.model.matrix import (
     is_shown,
     length_text,
     matrix_of,
-    natural,
     percent_text,
     title_of,
 )
+from fleetpose.hmi_client.model.records import natural
 from fleetpose.protocol.messages import PairCell
 
 
@@ -106,8 +106,8 @@ def test_lengths_carry_their_unit():
 def test_every_quantity_says_what_the_cell_holds(quantity):
     cell = tried("r1", "r2", 0.05, overlap=0.5, age_s=7.2, regression_error_m2=1.25, p_grave=0.12)
     shown = matrix_of(fleet(4, pairs=(cell,)), 1.0, quantity).at("r1", "r2").text
-    words = {"rms": "5.0", "regression": "1.2", "overlap": "50", "age": "7", "verdict": "veri"}
-    words["grave"] = "12"
+    words = {"rms": "5.0", "sigma": "2.8", "regression": "1.2", "overlap": "50", "age": "7"}
+    words |= {"verdict": "sure", "grave": "12"}
     assert shown == words[quantity] and title_of(quantity, "cm")
 
 
@@ -117,12 +117,12 @@ def texts_of(cell):
 
 def test_only_errors_hide_behind_the_threshold():
     cell = tried("r1", "r2", 5.0, verdict="plausible", overlap=0.25, p_grave=0.001)
-    assert texts_of(cell) == [HIDDEN, HIDDEN, "25", "0", "plau", "0.1"]
+    assert texts_of(cell) == [HIDDEN, "2.8", HIDDEN, "25", "0", "maybe", "0.1"]
 
 
 def test_a_last_try_that_failed_has_a_hyphen_an_age_and_its_verdict():
     failed = tried("r1", "r2", None, verdict="rejected", age_s=3.0)
-    assert texts_of(failed) == [HIDDEN, HIDDEN, HIDDEN, "3", "reje", HIDDEN]
+    assert texts_of(failed) == [HIDDEN, "2.8", HIDDEN, HIDDEN, "3", "no", HIDDEN]
 
 
 def test_where_more_than_one_pose_fits_the_verdict_says_how_many():

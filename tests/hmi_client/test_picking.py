@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from fleetpose.hmi_client.assist import picking
 from fleetpose.hmi_client.assist.pick_assist import PickAssist
+from fleetpose.hmi_client.desk.hints import LETTERS, Hints, labels
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.depths import Depths
 from fleetpose.hmi_client.model.records import Picture
 from fleetpose.hmi_client.model.session import OperatorSession
-from fleetpose.hmi_client.tui.drawing.hints import LETTERS, Hints, labels
 from fleetpose.protocol.clouds import encode_depth, encode_scattered
 from fleetpose.protocol.messages import Salient, View
 

@@ -21,7 +21,10 @@ async def test_a_server_that_falls_silent_is_told_within_three_seconds(session, 
         clock.now += 3.0
         app.tick()
         await pilot.pause()
-        assert "NO SERVER: nothing heard for 3 s" in text(app.status)
+        assert "slow: nothing heard for 3 s" in text(app.status)
+        clock.now += 3.0
+        app.tick()
+        assert "NO SERVER: nothing heard for 6 s" in text(app.status)
 
 
 @pytest.mark.parametrize("size", [(160, 50), (100, 30)])
@@ -29,7 +32,7 @@ async def test_map_and_matrix_show_the_fleet(session, size):
     async with screen(session, size) as (app, _):
         for robot in ("r1", "r2", "r3", "r4", "r5?"):
             assert robot in text(app.map)
-        assert "no pose: r6" in text(app.map) and "apart: r5" in text(app.map)
+        assert "no pose: r6" in text(app.map) and "separate: r5" in text(app.map)
         assert "1.0" in text(app.matrix) and "~" in text(app.matrix)
 
 
@@ -99,7 +102,7 @@ async def test_picks_by_keys_give_exactly_these_pixels(session, size):
         assert (update.view_i, update.view_j) == (view("r1"), view("r2"))
         assert app.focused is app.images[0]
         assert "1 not confirmed yet" in text(app.status)
-        assert "pending" in text(app.list)
+        assert [entry.status for entry in session.entries()] == ["pending"]
 
 
 async def test_the_pixel_does_not_depend_on_the_zoom(session):
@@ -152,11 +155,11 @@ async def test_u_takes_a_pick_back_and_r_puts_it_back(session):
     async with screen(session) as (app, pilot):
         await selected(session, pilot)
         await press(pilot, "space", "space")
-        assert "pending" in text(app.list)
+        assert "on its way" in text(app.list)
         await press(pilot, "u")
-        assert "erasing" in text(app.list)
+        assert "going" in text(app.list)
         await press(pilot, "r")
-        assert "pending" in text(app.list)
+        assert [entry.status for entry in session.entries()] == ["pending"]
 
 
 async def test_picking_without_an_image_warns_and_sends_nothing(session):

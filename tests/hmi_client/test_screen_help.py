@@ -86,7 +86,7 @@ async def test_the_other_cursor_goes_where_the_poses_put_the_point(session):
         for robot, y in (("r1", 0.0), ("r2", 0.4)):
             session.on_pose(pose(robot, 0.0, y, n=9))
         await press(pilot, "space")
-        assert app.focused is app.images[1] and app.images[1].expected is not None
+        assert app.focused is app.images[1] and app.view.desk.expected_at(1) is not None
         assert app.images[1].cursor == pytest.approx((320, 240 - 500 * 0.4 / 4.0), abs=1)
         assert "by the poses found so far" in text(app.images[1])
         assert "by the poses" not in text(app.images[0])
@@ -102,7 +102,7 @@ async def test_a_moved_point_is_shown_as_unconfirmed_and_named_in_the_update(ses
         [update] = session.open_updates()
         assert (update.action, update.correspondence, update.base_revision) == ("move", 4, 3)
         assert (tuple(update.pixel_i), tuple(update.pixel_j)) == ((10, 10), (50, 60))
-        assert "pending" in text(app.list)
+        assert "on its way" in text(app.list)
         await press(pilot, "v")
         assert len(session.open_updates()) == 1  # not again while it is on its way
 

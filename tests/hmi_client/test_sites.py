@@ -142,7 +142,7 @@ def test_clicks_in_a_terminal_arrive_at_the_server_of_the_site_that_is_shown(
     command = [*HMI, "--site", "hall,yard", "--connect", router, "--operator", "anna"]
 
     def pick_a_pair(terminal, site):
-        terminal.wait_text("Press n", 30.0)
+        terminal.wait_text("best question", 30.0)
         terminal.press("n")
         terminal.wait_text("Pick the same point in r5 and in r6", 30.0)
         terminal.press("Space")
@@ -156,7 +156,7 @@ def test_clicks_in_a_terminal_arrive_at_the_server_of_the_site_that_is_shown(
         assert not servers["yard"].updates
         terminal.press("b")
         pick_a_pair(terminal, "yard")
-        terminal.wait_text("all 1 confirmed")
+        terminal.wait_text("1 point confirmed")
         terminal.press("b", "u")  # takes back the hall's alone
         wait_for(lambda: not servers["hall"].sets[("r5", "r6")].items, 20.0)
         servers["yard"].close()

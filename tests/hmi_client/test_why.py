@@ -2,9 +2,9 @@
 
 from hmi_fakes import alignment, fleet
 
-from fleetpose.hmi_client.assist.prompts import describe_cell
 from fleetpose.hmi_client.cli.reports import Watcher, sentence, status_text
 from fleetpose.hmi_client.cli.why import why_record, why_text
+from fleetpose.hmi_client.desk.words import describe_cell
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.protocol.messages import Alarm, PairCell
 
@@ -63,7 +63,7 @@ def test_a_pair_whose_last_try_failed_shows_a_hyphen_with_the_age_of_that_try():
         if line.startswith("r3")
     )
     assert row.split()[:6] == ["r3", "rejected", "-", "2", "s", "ago"]
-    assert "3 matches, need 6" in row
+    assert "only 3 image features are alike, 6 are needed" in row
     session.select("r2", "r3")
     assert describe_cell(session) == "rejected"
 

@@ -10,7 +10,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from typer.testing import CliRunner
 
 from fleetpose.pose_server.__main__ import app
-from fleetpose.pose_server.recording.foxglove_file import scaled
+from fleetpose.pose_server.recording.foxglove_scene import scaled
 from fleetpose.pose_server.recording.show import MAX_POINTS, ShownLink, show
 from fleetpose.pose_server.recording.site import SiteRecorder
 from fleetpose.protocol.clouds import points_of

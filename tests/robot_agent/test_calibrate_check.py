@@ -79,16 +79,19 @@ def test_a_right_calibration_fits_also_among_wrong_matches(seed):
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_turned_camera_is_named_by_axis_and_angle(axis, deg):
     found, parts = findings_of(turned(axis, deg), np.random.default_rng(axis), wrong=0.1)
-    assert "off" in (found["rows"].state, found["disparities"].state)
+    named = "unclear" if axis == 1 and abs(deg) < 1 else "off"  # a lens may do that as well
+    assert named in (found["rows"].state, found["disparities"].state)
     name = "xyz"[axis]
     assert parts[name].value == pytest.approx(-deg, abs=max(4 * parts[name].sigma, 0.02))
     others = [part for other, part in parts.items() if other != name]
     assert all(abs(part.value) < 4 * part.sigma for part in others)
 
 
-def test_a_yaw_shows_in_disparities_where_rows_hide_it():
+def test_a_yaw_as_small_as_lenses_make_it_is_blamed_on_nobody():
     found, _ = findings_of(turned(1, 0.5), np.random.default_rng(0))
     assert found["rows"].state == "fits"
+    assert found["disparities"].state == "unclear" and "p2" in found["disparities"].sentence
+    found, _ = findings_of(turned(1, 1.5), np.random.default_rng(0))
     assert found["disparities"].state == "off"
 
 

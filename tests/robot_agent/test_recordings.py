@@ -192,8 +192,12 @@ def test_tum_frames_are_associated_by_time(tum, caplog):
 
 
 def test_tum_folders_may_bring_their_own_matrix(tum):
-    np.savetxt(tum / "camera-intrinsics.txt", K)
-    assert np.array_equal(frames_of("rgbd", tum)[0].model.K, K)
+    own = np.array([[530.0, 0, 320], [0, 531, 241], [0, 0, 1]])
+    np.savetxt(tum / "camera-intrinsics.txt", own)
+    assert np.array_equal(frames_of("rgbd", tum)[0].model.K, own)
+    np.savetxt(tum / "camera-intrinsics.txt", own * ((0.5,), (0.5,), (1,)))
+    with pytest.raises(CalibrationError, match=r"641x483.*640x480|321x242.*640x480"):
+        frames_of("rgbd", tum)
 
 
 @pytest.mark.parametrize("kind", ["rgbd", "views"])

@@ -183,7 +183,8 @@ def test_images_of_another_size_are_refused_with_both_sizes():
     [
         ({"t": [-400.0, 0, 0]}, "millimetres"),
         ({"t": [0.4, 0, 0]}, "swap"),
-        ({"t": [0, -0.4, 0]}, "sideways"),
+        ({"t": [0, 0, -0.4]}, "sideways"),
+        ({"t": [0, 0.4, 0]}, "upper one"),
         ({"t": [0.0, 0, 0]}, "zero"),
         ({"t": [[-0.4, 0], [0, 0]]}, "t needs 3 numbers|T needs 3 numbers"),
         ({"t": None}, "lacks t"),

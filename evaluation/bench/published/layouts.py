@@ -56,7 +56,7 @@ def open_sequence(layout: str, data: Path, name: str) -> RecordedSequence:
 
 def robot_name(name: str) -> str:
     """A sequence's name as one that a robot can have."""
-    return re.sub(r"[^a-z0-9_-]+", "-", name.lower()).strip("-")[-28:] or "robot"
+    return re.sub(r"[^a-z0-9_-]+", "-", name.lower()).strip("-")[-28:].lstrip("-_") or "robot"
 
 
 def _folder(*places: Path) -> Path:
@@ -101,9 +101,12 @@ def _euroc_truth(path: Path) -> tuple[np.ndarray, Floats]:
 
 
 def _kitti(data: Path, name: str) -> RecordedSequence:
-    """`sequences/NAME` with `poses/NAME.txt`, of the left grey camera."""
+    """`sequences/NAME` with `poses/NAME.txt`, of the left grey camera; or one street alone: images
+    of two eyes with a calibration, and `truth/poses.txt` as TUM writes it.
+    """
     folder = _folder(data / "sequences" / name, data / name)
-    poses = read_kitti(data / "poses" / f"{name}.txt")
+    alone = folder / "truth" / "poses.txt"
+    poses = read_tum(alone)[1] if alone.is_file() else read_kitti(data / "poses" / f"{name}.txt")
     times = folder / "times.txt"
     pairs = _stereo(folder)
     stamps_ns = read_times(times) if times.is_file() else np.arange(len(pairs)) * 10**8
@@ -113,7 +116,7 @@ def _kitti(data: Path, name: str) -> RecordedSequence:
             "poses: they must be as many"
         )
     shots = [Shot(*one) for one in zip(pairs, stamps_ns.tolist(), poses, strict=True)]
-    linked = {"calib.txt": folder / "calib.txt"}
+    linked = _those_there(folder, "calib.txt", "stereo.json")
     return RecordedSequence(robot_name(name), folder, "stereo", tuple(shots), linked)
 
 
@@ -192,5 +195,3 @@ LAYOUTS = {
     "7scenes": Layout(_seven_scenes, 15),
     "replica": Layout(_replica, 15),
 }
-BAGS = ("s3e", "kimera-multi", "graco")
-"""Benchmarks that come as ROS bags."""

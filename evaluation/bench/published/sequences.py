@@ -2,8 +2,9 @@
 images, and no truth.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,6 +12,8 @@ import numpy as np
 
 from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.cameras.base import Frame
+from fleetpose.robot_agent.cameras.factory import open_camera
 from fleetpose.robot_agent.cameras.kinds import CameraKind
 
 
@@ -54,8 +57,9 @@ class RecordedSequence:
         """Each so-manieth frame, the first ones."""
         return self._with(self.name, self.shots[::step][:most])
 
-    def split(self, parts: int) -> list["RecordedSequence"]:
-        """As many robots, one after the other along the way.
+    def split(self, parts: int, in_turn: bool = True) -> list["RecordedSequence"]:
+        """As many robots: each a part of the way, one after the other, or all of it with every
+        so-manieth frame.
 
         Raises:
             DataFolderError: there are fewer frames.
@@ -65,11 +69,24 @@ class RecordedSequence:
                 f"{self.folder} has {len(self.shots)} frames for {parts} robots: give a smaller "
                 "--split, or a smaller --every"
             )
+        if not in_turn:
+            return [self._with(f"{self.name}-{k}", self.shots[k::parts]) for k in range(parts)]
         cuts = np.linspace(0, len(self.shots), parts + 1).round().astype(int)
         return [
             self._with(f"{self.name}-{k}", self.shots[a:b])
             for k, (a, b) in enumerate(pairwise(cuts))
         ]
+
+    def frames(self, folder: Path) -> Iterator[Frame | None]:
+        """A frame for each shot, None for a damaged one, as the robot's camera reads them out of
+        the folder that it gets.
+
+        Raises:
+            FleetPoseError: they cannot be read.
+        """
+        with closing(open_camera(self.camera, str(self.stripped(folder)), "once")) as camera:
+            for shot, frame in zip(self.shots, camera.frames(), strict=False):
+                yield replace(frame, stamp_ns=shot.stamp_ns)
 
     def stripped(self, folder: Path) -> Path:
         """Makes the folder that the robot gets."""
@@ -90,8 +107,7 @@ class RecordedSequence:
         return folder
 
     def _with(self, name: str, shots: Sequence[Shot]) -> "RecordedSequence":
-        more = (self.linked, self.written, self.lists)
-        return RecordedSequence(name, self.folder, self.camera, tuple(shots), *more)
+        return replace(self, name=name, shots=tuple(shots))
 
 
 def _link(place: Path, file: Path) -> None:

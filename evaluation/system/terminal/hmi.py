@@ -116,7 +116,7 @@ def _measured(fleet: LocalFleet, options: HmiOptions) -> _Cost:
 
 def _started(client: Metered, fleet: LocalFleet) -> None:
     """Waits for the fleet on the screen, and selects a pair."""
-    if client.read_until("Press n", START_S) is None:
+    if client.read_until("best question", START_S) is None:
         fleet.check()
         raise FleetPoseError(f"after {START_S:.0f} s the client shows no question")
     client.press(b"n")
@@ -128,7 +128,7 @@ def _picked(fleet: LocalFleet, options: HmiOptions, notes: Path, by_mouse: bool)
     """The largest error of all targets, px."""
     command, state = _client(fleet, "mouse" if by_mouse else "keys")
     with Terminal(command, *options.size, state) as terminal:
-        terminal.wait_text("Press n", START_S)
+        terminal.wait_text("best question", START_S)
         terminal.press("n")
         terminal.wait_text("320, 240 px", START_S)
         return Picker(terminal, notes, by_mouse).worst_px(options.targets, seed=int(by_mouse))

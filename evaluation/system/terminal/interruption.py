@@ -31,7 +31,7 @@ class Interruption:
     def half(self, number: int) -> None:
         """The first half of a point has been picked."""
         if number == POINT:
-            self.terminal.wait_text(f"all {POINT - 1} confirmed", SAID_WITHIN_S)
+            self.terminal.wait_text(f"{POINT - 1} point confirmed", SAID_WITHIN_S)
             self.fleet.kill("server")
             self.silence_said = bool(self.terminal.wait_text("NO SERVER", SAID_WITHIN_S))
             self.terminal.keep(self.screens, "server-killed")
@@ -45,7 +45,7 @@ class Interruption:
             self.terminal.keep(self.screens, "not-confirmed")
             self.fleet.restart("server")
             self.confirmed_said = bool(
-                self.terminal.wait_text(f"all {POINT} confirmed", BACK_WITHIN_S)
+                self.terminal.wait_text(f"{POINT} points confirmed", BACK_WITHIN_S)
             )
             self.terminal.keep(self.screens, "confirmed-after-all")
 

@@ -116,7 +116,7 @@ def _operated(
     state = {"XDG_STATE_HOME": str(fleet.directory / "client")}
     began_s = time.monotonic()
     with Terminal(command, *options.size, state) as terminal:
-        terminal.wait_text("Press n", 30.0)
+        terminal.wait_text("best question", 30.0)
         terminal.keep(screens, "start")
         killed = Interruption(fleet, terminal, screens) if options.kill_server else None
         fingers = Fingers(terminal, observer, plan.truth, screens, killed)

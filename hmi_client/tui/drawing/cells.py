@@ -26,11 +26,6 @@ _FEW_GREYS = np.array((0x000000, 0x555555, 0xAAAAAA, 0xFFFFFF), np.int32)  # as 
 _BAYER = (
     np.array(((0, 8, 2, 10), (12, 4, 14, 6), (3, 11, 1, 9), (15, 7, 13, 5)), np.float64) + 0.5
 ) / 16
-# The palette of Okabe and Ito is told apart by colour-blind people; the numbers say the same.
-MARKER_COLOURS = (
-    *("#e69f00", "#56b4e9", "#009e73", "#f0e442"),
-    *("#5a9bd4", "#d55e00", "#cc79a7", "#ffffff"),
-)
 _BRAILLE_BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 
 

@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fleetpose.hmi_client.assist.pick_assist import Expected
+from fleetpose.hmi_client.desk.colours import marker_colour
+from fleetpose.hmi_client.desk.hints import Hints
 from fleetpose.hmi_client.model.records import Entry, PixelUV
 from fleetpose.hmi_client.tui.drawing import palette
-from fleetpose.hmi_client.tui.drawing.cells import MARKER_COLOURS, HalfBlocks, Window
-from fleetpose.hmi_client.tui.drawing.hints import Hints
+from fleetpose.hmi_client.tui.drawing.cells import HalfBlocks, Window
 from fleetpose.protocol.messages import ViewName
 
 CROSS_RGB, FAINT_RGB, DEPTH_RGB = 0xFF3030, 0x808080, 0xF0E442
@@ -25,6 +26,7 @@ class Overlay:
         side: of the image, 0 or 1.
         half: the pixel of a half pick in this image.
         expected: where the other half is expected, if that is here.
+        fits: where the others put a point that they contradict, if that is in this image.
         hints: labels, while they are shown.
         depth: pixels that have depth, where only some have.
         cursor: where it is.
@@ -38,6 +40,7 @@ class Overlay:
     entries: Sequence[Entry] = ()
     half: PixelUV | None = None
     expected: Expected | None = None
+    fits: PixelUV | None = None
     hints: Hints | None = None
     depth: Sequence[PixelUV] = field(default=(), repr=False)
 
@@ -58,6 +61,8 @@ class Overlay:
             for u, v in segment_pixels(self.expected):
                 picture.dot(*window.half_cell(u, v), DEPTH_RGB)
             self._sign(picture, window, self.expected.pixel, "◇", "hint")
+        elif self.fits is not None:
+            self._sign(picture, window, self.fits, "◇", "hint")
         if self.half is not None:
             self._sign(picture, window, self.half, "◆", "#ffffff")
         draw_cursor(picture, window, self.cursor, self.focused)
@@ -114,8 +119,3 @@ def segment_pixels(expected: Expected) -> list[PixelUV]:
     (u_0, v_0), (u_1, v_1) = expected.segment
     steps = np.linspace(0.0, 1.0, 40)
     return [(u_0 + s * (u_1 - u_0), v_0 + s * (v_1 - v_0)) for s in steps.tolist()]
-
-
-def marker_colour(number: int) -> str:
-    """The colour of the n-th correspondence, from 1."""
-    return MARKER_COLOURS[(number - 1) % len(MARKER_COLOURS)]

@@ -1,7 +1,6 @@
-"""The colours of the text client, by what they mean.
+"""The colours of the text client, by what they mean: those of `desk.colours`, as styles.
 
-`dark` and `light` tell states apart by hue and lightness, and never by red against green alone;
-what matters is said by a character as well. `mono` is for NO_COLOR: bold and reversed cells.
+`mono` is for NO_COLOR: bold and reversed cells.
 """
 
 import os
@@ -11,72 +10,17 @@ from typing import Literal
 
 from rich.style import Style
 
+from fleetpose.hmi_client.desk.colours import ROLES
+
 Theme = Literal["dark", "light", "mono"]
 Choice = Literal["auto", "dark", "light", "mono"]
 
-_DARK = {
-    "back": "#10141a",
-    "text": "#c8d0d8",
-    "bright": "#ffffff",
-    "dim": "#8a97a6",
-    "faint": "#5c6672",
-    "axes": "#39424e",
-    "border": "#33507a",
-    "focus": "#8fb4e0",
-    "name": "#7fa6d1",
-    "good": "#7fd18b",
-    "plausible": "#d9b35b",
-    "ambiguous": "#d98a5b",
-    "apart": "#a88fd1",
-    "ellipse": "#5f7384",
-    "waiting": "#f0e442",
-    "outlier": "#d55e00",
-    "red": "#b00020",
-    "red cursor": "#e0263c",
-    "red text": "#ff5050",
-    "red border": "#7a2030",
-    "red focus": "#ff3b4e",
-    "on red": "#ffffff",
-    "cursor": "#2f4f74",
-    "step": "#1d3b5c",
-    "on step": "#ffffff",
-    "why": "#16202c",
-    "on why": "#a9b8c8",
-    "hint": "#f0e442",
-    "on hint": "#000000",
-}
-_LIGHT = _DARK | {
-    "back": "#f6f7f9",
-    "text": "#1b232d",
-    "bright": "#000000",
-    "dim": "#56616e",
-    "faint": "#8b95a1",
-    "axes": "#c4ccd5",
-    "border": "#9fb3cc",
-    "focus": "#1f5fa8",
-    "name": "#1f5fa8",
-    "good": "#00694d",
-    "plausible": "#8a5a00",
-    "ambiguous": "#a33c00",
-    "apart": "#6b3fa0",
-    "ellipse": "#9aa9b8",
-    "waiting": "#7a6a00",
-    "outlier": "#b34700",
-    "red text": "#b00020",
-    "red border": "#d9a0a8",
-    "red focus": "#b00020",
-    "cursor": "#bcd3ee",
-    "step": "#d5e4f5",
-    "on step": "#0b2545",
-    "why": "#e7ebf0",
-    "on why": "#33404f",
-}
 _COLOURS: Mapping[Theme, Mapping[str, str]] = {
-    "dark": _DARK,
-    "light": _LIGHT,
-    "mono": dict.fromkeys(_DARK, "default"),
+    "dark": ROLES["dark"],
+    "light": ROLES["light"],
+    "mono": dict.fromkeys(ROLES["dark"], "default"),
 }
-_REVERSED = ("red", "red cursor", "cursor", "step", "hint")
+_REVERSED = ("red", "red cursor", "cursor", "step", "warn", "hint")
 _state: dict[str, Theme] = {"theme": "dark"}
 _few = {"colours": False}
 
@@ -136,5 +80,5 @@ def style(front: str = "text", back: str = "back", bold: bool = False) -> Style:
 
 def variables() -> dict[str, str]:
     """The roles as variables of the style sheet."""
-    shown = {f"fp-{role.replace(' ', '-')}": tone(role) for role in _DARK}
+    shown = {f"fp-{role.replace(' ', '-')}": tone(role) for role in ROLES["dark"]}
     return {name: "ansi_default" if c == "default" else c for name, c in shown.items()}

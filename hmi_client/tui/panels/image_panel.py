@@ -1,21 +1,19 @@
 """The right panel: one image of the selected pair, a cursor in image pixels and a loupe."""
 
-import math
 from contextlib import suppress
 from dataclasses import replace
 from textwrap import wrap
 
 from rich.segment import Segment
 from textual import events
-from textual.message import Message
 from textual.strip import Strip
 
-from fleetpose.hmi_client.assist.pick_assist import Expected, PickAssist
-from fleetpose.hmi_client.errors import OperatorError, PictureError
+from fleetpose.hmi_client.desk.desk import Desk
+from fleetpose.hmi_client.desk.hints import LETTERS, Hints
+from fleetpose.hmi_client.errors import PictureError
 from fleetpose.hmi_client.model.jpeg import frame_of
 from fleetpose.hmi_client.model.picture_decoder import decoded
-from fleetpose.hmi_client.model.records import Entry, Picture, PixelUV
-from fleetpose.hmi_client.model.session import OperatorSession
+from fleetpose.hmi_client.model.records import Picture, PixelUV
 from fleetpose.hmi_client.tui import bindings
 from fleetpose.hmi_client.tui.drawing.arrangement import Arrangement, arrange, fit
 from fleetpose.hmi_client.tui.drawing.cells import (
@@ -28,10 +26,9 @@ from fleetpose.hmi_client.tui.drawing.cells import (
     sample,
     steadied,
 )
-from fleetpose.hmi_client.tui.drawing.hints import LETTERS, MOST, Hints
 from fleetpose.hmi_client.tui.drawing.overlay import Overlay
 from fleetpose.hmi_client.tui.drawing.palette import style
-from fleetpose.hmi_client.tui.panels.panel import Panel
+from fleetpose.hmi_client.tui.panels.panel import Do, Panel
 from fleetpose.protocol.messages import ViewName
 
 # A half cell of the image is a mean over many pixels; the shades of live images are coarser yet.
@@ -44,30 +41,10 @@ class ImagePanel(Panel):
     TOPICS = ("pictures", "selection", "correspondences", "depths")
     BINDINGS = bindings.IMAGES  # pyright: ignore[reportAssignmentType]
 
-    class Picked(Message):
-        """A point was picked in this panel; `complete` if it was the second one."""
-
-        def __init__(self, side: int, complete: bool) -> None:
-            super().__init__()
-            self.side, self.complete = side, complete
-
-    class Suggestion(Message):
-        """The suggestion that is shown was accepted (step 1) or is to be skipped (-1); without one
-        the first is wanted.
-        """
-
-        def __init__(self, step: int) -> None:
-            super().__init__()
-            self.step = step
-
-    def __init__(self, session: OperatorSession, guide: PickAssist, side: int) -> None:
+    def __init__(self, desk: Desk, side: int, do: Do) -> None:
         super().__init__(id=f"image{side}", classes="image")
-        self.session = session
-        self.guide = guide
+        self.desk, self.session, self._do = desk, desk.session, do
         self.side = side
-        self.expected: Expected | None = None
-        self.hints: Hints | None = None
-        self.cursor: PixelUV = (0.0, 0.0)
         self.zoom = 1.0
         self._robot: str | None = None
         self._picture: Picture | None = None
@@ -82,8 +59,30 @@ class ImagePanel(Panel):
         self._rows_of: dict[str, Rows] = {}
         self._drawn_of: object = None
         self._drawn: list[Strip] = []
+        self._followed: object = None
 
     # ---- what is shown ---------------------------------------------------------------------------
+
+    @property
+    def cursor(self) -> PixelUV:
+        """Where the cursor is, in full-resolution pixels."""
+        return self.desk.cursor(self.side)
+
+    @property
+    def hints(self) -> Hints | None:
+        """Labels, while they are shown here."""
+        return self.desk.hints if self.desk.side == self.side else None
+
+    def follow(self) -> bool:
+        """Keeps the cursor in sight, wherever the desk has put it; whether anything of the desk's
+        is to be drawn anew.
+        """
+        wrong = self.desk.wrong()
+        now = (self.cursor, self.hints, self.desk.expected_at(self.side), wrong)
+        changed, self._followed = now != self._followed, now
+        if changed:
+            self._keep_in_sight()
+        return changed
 
     @property
     def _view(self) -> ViewName | None:
@@ -127,9 +126,7 @@ class ImagePanel(Panel):
         self._picture, self._halved = picture, halved
         self._scale = picture.scale * (2 if halved else 1)
         if first and self.image_size is not None:
-            self.zoom = 1.0
-            self.cursor = (self.image_size[0] // 2, self.image_size[1] // 2)
-            self._centre = self.cursor
+            self.zoom, self._centre = 1.0, self.cursor
 
     def paint(self) -> list[Strip]:
         self._load()
@@ -198,7 +195,7 @@ class ImagePanel(Panel):
         place = f"{u:.0f}, {v:.0f} px" + (f"  x{self.zoom:.1f}" if self.zoom > 1 else "")
         notice = self.session.picture_notice(self._robot) if self._robot else ""
         view = f"view {self._view.seq}" if self._view else ""
-        here = self._expected_here()
+        here = self.desk.expected_at(self.side)
         expected = "" if here is None else f"  ◇ {here.how}"
         text = (notice or place + self._depth_note() + expected)[:columns]
         shown = f"{text.ljust(columns - len(view) - 1)} {view}" if notice == "" else text
@@ -226,7 +223,8 @@ class ImagePanel(Panel):
         return lines
 
     def _overlay(self) -> Overlay:
-        half = self.session.half
+        half, wrong = self.session.half, self.desk.wrong()
+        here = wrong is not None and wrong.side == self.side and self.desk.shows(wrong.id)
         return Overlay(
             view=self._view,
             side=self.side,
@@ -234,22 +232,10 @@ class ImagePanel(Panel):
             focused=self.has_focus,
             entries=self.session.entries(),
             half=half.pixel if half is not None and half.side == self.side else None,
-            expected=self._expected_here(),
+            expected=self.desk.expected_at(self.side),
+            fits=wrong.fits if here and wrong is not None else None,
             hints=self.hints,
         )
-
-    def _expected_here(self) -> Expected | None:
-        """Where the other half of a pick is expected, if that is in this image."""
-        half, expected = self.session.half, self.expected
-        here = half is not None and expected is not None and expected.side == self.side
-        return expected if here else None
-
-    def nearest(self) -> Entry | None:
-        """The confirmed correspondence whose marker is nearest to the cursor."""
-        named = [(p, entry) for _, p, entry in self._overlay().markers() if entry.id is not None]
-        if not named:
-            return None
-        return min(named, key=lambda item: math.dist(item[0], self.cursor))[1]
 
     def _paint_loupe(self, over: Overlay, columns: int, rows: int) -> Rows:
         """One full-resolution pixel per half cell, the cursor in the middle."""
@@ -267,60 +253,57 @@ class ImagePanel(Panel):
 
     def move_to(self, u: float, v: float) -> None:
         """Puts the cursor on a pixel, inside the image, and keeps it in sight."""
+        self._do("cursor", side=self.side, pixel=(u, v))
+        self.follow()
+        self.repaint()
+
+    def _keep_in_sight(self) -> None:
         if self.image_size is None or self._arrangement is None:
             return
-        width, height = self.image_size
-        self.cursor = u, v = min(max(u, 0.0), width - 1.0), min(max(v, 0.0), height - 1.0)
+        u, v = self.cursor
         window = fit(self._arrangement, self.image_size, self.zoom, self._centre)
         column, half_row = window.half_cell(u, v)
         aside = not window.columns * 0.1 <= column < window.columns * 0.9
         above = not window.rows * 0.2 <= half_row < window.rows * 1.8
         if aside or above:
             self._centre = (u, v)
-        self.repaint()
 
-    def action_move(self, du: int, dv: int) -> None:
+    def action_arrow(self, du: int, dv: int) -> None:
         self.move_to(round(self.cursor[0]) + du, round(self.cursor[1]) + dv)
 
-    def action_zoom(self, factor: float) -> None:
-        self.zoom = min(max(self.zoom * factor, 1.0), 64.0)
-        self._centre = self.cursor
+    def action_do(self, command: str) -> None:
+        """Zooms are the image's own; all else is done at the desk, in this image."""
+        match command:
+            case "zoom-in":
+                self._zoom(1.5)
+            case "zoom-out":
+                self._zoom(1 / 1.5)
+            case "fit":
+                self._zoom(0.0)
+            case "pick" | "snap" | "move":
+                self._do(command, side=self.side, seen=self._picture)
+            case "go":
+                self._go()
+            case _:
+                self._do(command)
+        self.follow()
         self.repaint()
 
-    def action_fit(self) -> None:
-        self.zoom = 1.0
-        self.repaint()
+    def _zoom(self, factor: float) -> None:
+        self.zoom, self._centre = min(max(self.zoom * factor, 1.0), 64.0), self.cursor
 
-    def action_pick(self) -> None:
-        try:
-            ticket = self.session.pick(self.side, self.cursor, self._picture)
-        except OperatorError as error:
-            self._tell(error)
+    def _go(self) -> None:
+        """Labels appear over places that are in sight, so far apart that they can be read."""
+        window = self._window
+        if window is None:
+            self._do("go", side=self.side)
             return
-        self.post_message(self.Picked(self.side, ticket is not None))
+        left, top, px = window.left - 0.5, window.top - 0.5, window.px_per_half
+        right, bottom = left + (window.columns - 1) * px, top + 2 * window.rows * px
+        within, apart = (left, top, right, bottom), (4 * px, 4 * px)
+        self._do("go", side=self.side, apart=apart, within=within, seen=self._picture)
 
-    # ---- help for the hand -----------------------------------------------------------------------
-
-    def action_snap(self) -> None:
-        """The cursor goes to the corner, or the point with depth, that is nearest."""
-        try:
-            self.session.hold_still(self._picture)
-            self.move_to(*self.guide.snap(self.side, self.cursor))
-        except OperatorError as error:
-            self._tell(error)
-
-    def action_hint(self) -> None:
-        """Labels appear over places worth a pick; typing one puts the cursor there."""
-        if self._window is None:
-            return
-        self.session.hold_still(self._picture)
-        px = self._window.px_per_half
-        places = self.guide.places(self.side, 4 * px, 4 * px, MOST)
-        shown = [place for place in places if self._is_in_sight(place)]
-        self.hints = Hints.of(shown) if shown else None
-        if not shown:
-            self.notify("There is nothing here that stands out: use the arrows.", timeout=3)
-        self.repaint()
+    # ---- labels ----------------------------------------------------------------------------------
 
     def on_key(self, event: events.Key) -> None:
         """While labels are shown, letters choose one; any other key takes them away."""
@@ -328,47 +311,18 @@ class ImagePanel(Panel):
             return
         event.stop()
         event.prevent_default()
-        if event.character is not None and event.character in LETTERS:
-            self.hints = self.hints.type(event.character)
-            chosen = self.hints.chosen
-            if chosen is not None:
-                self.hints = None
-                self.move_to(*chosen)
-        else:
-            self.hints = None
+        letter = event.character if event.character and event.character in LETTERS else ""
+        self.desk.type_hint(letter)
+        self.follow()
         self.repaint()
 
+    def on_focus(self) -> None:
+        self.desk.turn(self.side)
+        super().on_focus()
+
     def on_blur(self) -> None:
-        self.hints = None
+        self.desk.hints = None
         super().on_blur()
-
-    def action_suggestion(self, step: int) -> None:
-        self.post_message(self.Suggestion(step))
-
-    def action_move_point(self) -> None:
-        """The nearest correspondence moves to the cursor; only in the view that it was clicked in,
-        since the same pixel of another moment shows something else.
-        """
-        entry, pair = self.nearest(), self.session.pair
-        if entry is None or entry.id is None or pair is None:
-            self.notify("There is no confirmed point here to move.", timeout=3)
-            return
-        if not self._overlay().is_of_this_view(entry):
-            what = f"Point {entry.id} was clicked in another view: choose it in the list to see it."
-            self.notify(what, severity="warning", timeout=4)
-            return
-        try:
-            self.session.move(pair, entry.id, self.side, self.cursor)
-        except OperatorError as error:
-            self._tell(error)
-
-    def _is_in_sight(self, pixel: PixelUV) -> bool:
-        assert self._window is not None
-        column, half_row = self._window.half_cell(*pixel)
-        return 0 <= column < self._window.columns - 1 and 0 <= half_row < 2 * self._window.rows
-
-    def _tell(self, error: OperatorError) -> None:
-        self.notify(str(error), severity="warning", timeout=4)
 
     # ---- mouse -----------------------------------------------------------------------------------
 
@@ -382,15 +336,15 @@ class ImagePanel(Panel):
         if loupe and 0 <= x < loupe[2] and 0 <= y < loupe[3] and self._loupe:
             u, v = self._loupe.pixel(x, 2 * y)
             self.move_to(round(u), round(v))
-            self.action_pick()
+            self.action_do("pick")
         elif offset.x < self._arrangement.columns and offset.y < self._arrangement.rows:
             u, v = self._window.pixel(offset.x, 2 * offset.y + 0.5)
             self.move_to(round(u), round(v))
 
     def on_mouse_scroll_up(self, event: events.MouseScrollUp) -> None:
         event.stop()
-        self.action_zoom(1.5)
+        self.action_do("zoom-in")
 
     def on_mouse_scroll_down(self, event: events.MouseScrollDown) -> None:
         event.stop()
-        self.action_zoom(1 / 1.5)
+        self.action_do("zoom-out")

@@ -3,16 +3,15 @@
 from rich.segment import Segment
 from rich.style import Style
 from textual import events
-from textual.message import Message
 from textual.strip import Strip
 
-from fleetpose.hmi_client.model.matrix import length_text
+from fleetpose.hmi_client.desk.colours import marker_colour
+from fleetpose.hmi_client.desk.desk import Desk
+from fleetpose.hmi_client.desk.words import STATUS_WORDS, quality
 from fleetpose.hmi_client.model.records import Entry
-from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.tui import bindings
-from fleetpose.hmi_client.tui.drawing.cells import MARKER_COLOURS
 from fleetpose.hmi_client.tui.drawing.palette import style
-from fleetpose.hmi_client.tui.panels.panel import Panel
+from fleetpose.hmi_client.tui.panels.panel import Do, Panel
 
 STATUS_COLOURS = {
     "accepted": "good",
@@ -30,16 +29,9 @@ class ListPanel(Panel):
     TOPICS = ("correspondences", "selection", "updates")
     BINDINGS = bindings.LIST  # pyright: ignore[reportAssignmentType]
 
-    class Shown(Message):
-        """An entry was chosen: the cursors should go to its pixels."""
-
-        def __init__(self, entry: Entry) -> None:
-            super().__init__()
-            self.entry = entry
-
-    def __init__(self, session: OperatorSession) -> None:
+    def __init__(self, desk: Desk, do: Do) -> None:
         super().__init__(id="list")
-        self.session = session
+        self.desk, self.session, self._do = desk, desk.session, do
         self.at = 0
 
     def current(self) -> Entry | None:
@@ -67,50 +59,42 @@ class ListPanel(Panel):
 
     def _line(self, number: int, entry: Entry, columns: int) -> Strip:
         background = "cursor" if self.has_focus and number - 1 == self.at else "back"
-        colour = MARKER_COLOURS[(number - 1) % len(MARKER_COLOURS)]
+        colour = marker_colour(number)
 
         def paint(tone: str) -> Style:
             return style(tone, background)
 
         segments = [
             Segment(f"{number:>2} ", style("#000000", colour, True)),
-            Segment(f" {entry.status:<8} ", paint(STATUS_COLOURS[entry.status])),
+            Segment(f" {STATUS_WORDS[entry.status]:<12} ", paint(STATUS_COLOURS[entry.status])),
             Segment(quality(entry), paint("text")),
         ]
         if columns > 46:
             segments.append(Segment(pixels(entry), paint("dim")))
         return Strip(segments).adjust_cell_length(columns, paint("dim"))
 
-    def action_move(self, _: int, step: int) -> None:
+    def action_arrow(self, _: int, step: int) -> None:
+        """The images' cursors go along."""
         self.at = min(max(self.at + step, 0), max(len(self.session.entries()) - 1, 0))
-        self.repaint()
-
-    def action_show(self) -> None:
         entry = self.current()
         if entry is not None:
-            self.post_message(self.Shown(entry))
+            self.desk.point_at(entry)
+        self.repaint()
+
+    def action_do(self, command: str) -> None:
+        """For the entry under the cursor."""
+        if command == "show":
+            self._do("show", number=self.at + 1)
+        else:
+            self._do(command)
 
     def on_click(self, event: events.Click) -> None:
         offset = event.get_content_offset(self)
         if offset is not None:
             rows, count = self.extent.height, len(self.session.entries())
             self.at = max(0, min(self.at - rows // 2, count - rows)) + offset.y
-            self.action_move(0, 0)
-            self.action_show()
-
-
-def quality(entry: Entry) -> str:
-    """Residuals, or why it was rejected."""
-    if entry.note:
-        return entry.note
-    words = [f"#{entry.id}".ljust(5)] if entry.id is not None else []
-    if entry.residual_m is not None:
-        words.append(length_text(entry.residual_m).rjust(8))
-    if entry.residual_px is not None:
-        words.append(f"{entry.residual_px:5.1f} px")
-    if entry.by:
-        words.append(f"by {entry.by}")
-    return " ".join(words)
+            self.action_arrow(0, 0)
+            self.action_do("show")
 
 
 def pixels(entry: Entry) -> str:

@@ -7,18 +7,19 @@ import numpy as np
 import numpy.typing as npt
 from textual.strip import Strip
 
+from fleetpose.hmi_client.desk.desk import Desk
 from fleetpose.hmi_client.model.matrix import length_text, natural
-from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.model.top_view import (
     ground_ellipse,
     heading_rad,
+    layout,
     position,
     position_covariance,
 )
 from fleetpose.hmi_client.tui import bindings
 from fleetpose.hmi_client.tui.drawing.cells import Canvas
 from fleetpose.hmi_client.tui.drawing.palette import style
-from fleetpose.hmi_client.tui.panels.panel import Panel
+from fleetpose.hmi_client.tui.panels.panel import Do, Panel
 from fleetpose.protocol.messages import RobotPose
 
 Floats = npt.NDArray[np.float64]
@@ -57,27 +58,6 @@ class Projection:
         return cls(columns, rows, STEP ** math.ceil(math.log(wanted, STEP) - 1e-9))
 
 
-def layout(poses: dict[str, RobotPose], anchor: str | None) -> dict[str, Floats]:
-    """Where to draw each robot, (2,) metres.
-
-    Poses compare only within a component. That of the anchor stands where it is; the others are put
-    below it, one beneath the other, with their own origins.
-    """
-    parts: dict[str, list[str]] = {}
-    for robot in sorted(poses, key=natural):
-        parts.setdefault(poses[robot].component, []).append(robot)
-    places: dict[str, Floats] = {}
-    bottom = None
-    for component in sorted(parts, key=lambda c: (c != anchor, natural(c))):
-        here = np.array([position(poses[robot])[:2] for robot in parts[component]])
-        if bottom is not None:
-            gap = 0.4 * max(float(np.abs(np.array(list(places.values()))).max()), 1.0)
-            here = here - (here.mean(0)[0], here[:, 1].max() - bottom + gap)
-        places.update(zip(parts[component], here, strict=True))
-        bottom = min(float(here[:, 1].min()), 0.0 if bottom is None else bottom)
-    return places
-
-
 def nice_length(metres: float) -> float:
     """The largest 1, 2 or 5 times a power of ten that is not above."""
     power = 10.0 ** math.floor(math.log10(metres))
@@ -97,42 +77,38 @@ class MapPanel(Panel):
     SLOW = ("fleet", "poses")
     BINDINGS = bindings.MAP  # pyright: ignore[reportAssignmentType]
 
-    def __init__(self, session: OperatorSession) -> None:
+    def __init__(self, desk: Desk, do: Do) -> None:
         super().__init__(id="map")
-        self.session = session
+        self.desk, self.session, self._do = desk, desk.session, do
         self.zoom = 1.0
-        self.ellipses = True
-        self.following = False
         self._middle = (0.0, 0.0)
         self._metres_per_dot = 1.0
 
-    def action_zoom(self, factor: float) -> None:
-        self.zoom = min(max(self.zoom * factor, 0.1), 100.0)
+    def action_do(self, command: str) -> None:
+        """Zooms are the map's own; all else is done at the desk."""
+        match command:
+            case "zoom-in" | "zoom-out":
+                factor = 1.5 if command == "zoom-in" else 1 / 1.5
+                self.zoom = min(max(self.zoom * factor, 0.1), 100.0)
+            case "fit":  # all robots, and (0, 0) at the centre
+                self.zoom, self._middle, self.desk.following = 1.0, (0.0, 0.0), False
+            case _:
+                self._do(command)
         self.repaint()
 
-    def action_fit(self) -> None:
-        """All robots, and (0, 0) at the centre."""
-        self.zoom, self._middle, self.following = 1.0, (0.0, 0.0), False
-        self.repaint()
-
-    def action_move(self, right: int, down: int) -> None:
+    def action_arrow(self, right: int, down: int) -> None:
         """Pans by a sixteenth of the map, or more; it no longer follows anybody."""
         columns, rows = self.extent
         step = self._metres_per_dot * max(2 * columns, 4 * rows) / 16
         x, y = self._middle
-        self._middle, self.following = (x + right * step, y - down * step), False
-        self.repaint()
-
-    def action_follow(self) -> None:
-        """Keeps the selected pair in the middle, near enough to see how its robots stand."""
-        self.following = not self.following
+        self._middle, self.desk.following = (x + right * step, y - down * step), False
         self.repaint()
 
     def _projection(self, places: dict[str, Floats]) -> Projection:
         columns, rows = self.extent.width, self.extent.height - 3
         xy = np.array(list(places.values())).reshape(-1, 2)
         pair = [places[robot] for robot in self.session.pair or () if robot in places]
-        if self.following and pair:
+        if self.desk.following and pair:
             self._middle = middle = _rounded(np.mean(pair, axis=0))
             near = np.array(pair) - middle
             fitted = Projection.fitting(columns, rows, near, self.zoom, margin=0.5)
@@ -141,19 +117,15 @@ class MapPanel(Panel):
         self._metres_per_dot = fitted.metres_per_dot
         return replace(fitted, middle=self._middle)
 
-    def action_ellipses(self) -> None:
-        self.ellipses = not self.ellipses
-        self.repaint()
-
     def paint(self) -> list[Strip]:
-        self.title("fleet from above" + (", following the pair" if self.following else ""))
+        self.title("fleet from above" + (", following the pair" if self.desk.following else ""))
         poses, fleet = self.session.poses(), self.session.fleet
         columns, rows = self.extent
         places = layout(poses, fleet.anchor if fleet else None)
         projection = self._projection(places)
         canvas = Canvas(columns, rows)
         self._axes(canvas, projection)
-        if self.ellipses:
+        if self.desk.ellipses:
             for robot, place in places.items():
                 self._ellipse(canvas, projection, poses[robot], place)
         order = sorted(places, key=lambda robot: (robot in (self.session.pair or ()), robot))
@@ -228,10 +200,9 @@ class MapPanel(Panel):
             members = {c: [r for r in poses if poses[r].component == c] for c in apart}
             words = "; ".join(" ".join(sorted(members[c], key=natural)) for c in apart)
             canvas.text(
-                0, bottom - 2, f"apart: {words}"[: canvas.columns], style("apart", bold=True)
+                0, bottom - 2, f"separate: {words}"[: canvas.columns], style("apart", bold=True)
             )
         if fleet is not None:
-            up = "up assumed" if fleet.up_assumed else "z up"
-            canvas.text(
-                0, 0, f"anchor {fleet.anchor or 'none'}, {up}"[: canvas.columns], style("dim")
-            )
+            up = ", up is the camera's" if fleet.up_assumed else ", z up"
+            text = f"origin {fleet.anchor or 'none'}{up}"
+            canvas.text(0, 0, text[: canvas.columns], style("dim"))

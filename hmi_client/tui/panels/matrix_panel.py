@@ -4,13 +4,12 @@ from rich.segment import Segment
 from rich.style import Style
 from textual import events
 from textual.geometry import Size
-from textual.message import Message
 from textual.scroll_view import ScrollView
 from textual.strip import Strip
 
+from fleetpose.hmi_client.desk.desk import Desk
 from fleetpose.hmi_client.model.matrix import (
     HIDDEN,
-    QUANTITIES,
     SELF,
     THROUGH,
     UNTRIED,
@@ -22,12 +21,11 @@ from fleetpose.hmi_client.model.matrix import (
     title_of,
 )
 from fleetpose.hmi_client.model.records import Pair
-from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.tui import bindings
 from fleetpose.hmi_client.tui.drawing.cells import Rows
 from fleetpose.hmi_client.tui.drawing.heat_map import Grid, heat_map
 from fleetpose.hmi_client.tui.drawing.palette import style
-from fleetpose.hmi_client.tui.panels.panel import PanelMixin, line
+from fleetpose.hmi_client.tui.panels.panel import Do, PanelMixin, line
 from fleetpose.protocol.keys import ordered_pair
 
 TONES = {"verified": "text", "plausible": "plausible", "ambiguous": "ambiguous", None: "faint"}
@@ -47,22 +45,13 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
     SLOW = ("fleet",)
     BINDINGS = bindings.MATRIX  # pyright: ignore[reportAssignmentType]
 
-    class Chosen(Message):
-        """A cell was chosen: the two robots, in the order row, column."""
-
-        def __init__(self, a: str, b: str) -> None:
-            super().__init__()
-            self.a, self.b = a, b
-
-    def __init__(self, session: OperatorSession) -> None:
+    def __init__(self, desk: Desk, do: Do) -> None:
         super().__init__(id="matrix")
-        self.session = session
+        self.desk, self.session, self._do = desk, desk.session, do
         self.cursor = (0, 1)
         self._matrix = Matrix((), "cm", {})
-        self.quantity: Quantity = "rms"
         self._shows: tuple[str, int, float, Quantity] | None = None
         self._selected: Pair | None = None
-        self.overview = False
         self._rows: Rows | None = None
         self._others: dict[Pair, tuple[str, ...]] = {}
 
@@ -81,7 +70,7 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
 
     def cell_at(self, x: int, y: int) -> tuple[int, int] | None:
         """Row and column of the cell under a place of the content area."""
-        if self.overview:
+        if self.desk.overview:
             row, column = self._grid.robot_at(2 * (y - 1)), self._grid.robot_at(x)
             return None if row is None or column is None or y < 1 else (row, column)
         count = len(self._matrix.robots)
@@ -96,11 +85,11 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
         session = self.session
         fleet, threshold_m = session.fleet, session.threshold_m
         if fleet is not None:
-            shows = (fleet.server_epoch, fleet.n, threshold_m, self.quantity)
+            shows = (fleet.server_epoch, fleet.n, threshold_m, self.desk.quantity)
             if self._shows != shows:
                 self._shows = shows
-                self._matrix = matrix_of(fleet, threshold_m, self.quantity)
-        if self.overview:
+                self._matrix = matrix_of(fleet, threshold_m, self.desk.quantity)
+        if self.desk.overview:
             return self._paint_overview()
         self._others = session.others()
         count = len(self._matrix.robots)
@@ -110,9 +99,11 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
             self.call_after_refresh(self.repaint)  # only then can it scroll that far
         else:
             self._follow_selection()
-        self.title(title_of(self.quantity, self._matrix.unit))
-        errors = self.quantity in ("rms", "regression")
-        self.subtitle(f"- above {length_text(threshold_m)}" if errors else "t shows errors again")
+        self.title(title_of(self.desk.quantity, self._matrix.unit))
+        errors = self.desk.quantity in ("rms", "regression")
+        self.subtitle(
+            f"- above {length_text(threshold_m)}" if errors else "t shows another quantity"
+        )
         rows = range(self.scroll_offset.y, self.scroll_offset.y + self.extent.height - 1)
         first = self.scroll_offset.x // self.pitch
         columns = range(first, min(count, first + self.extent.width // self.pitch + 2))
@@ -134,7 +125,7 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
         matrix, (columns, rows) = self._matrix, self.extent
         self.virtual_size = self.extent
         self._follow_selection()
-        self.title(f"{title_of(self.quantity, matrix.unit)}: all pairs")
+        self.title(f"{title_of(self.desk.quantity, matrix.unit)}: all pairs")
         self.subtitle("dark is little, bright is much, orange is hidden or rejected; o goes back")
         if not matrix.robots:
             return [Strip.blank(columns, style("faint"))] * rows
@@ -207,7 +198,7 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
 
     def _keep_in_sight(self) -> None:
         row, column = self.cursor
-        if self.overview:
+        if self.desk.overview:
             return
         left, top = self.scroll_offset
         width, height = self.extent.width - self.head, self.extent.height - 1
@@ -216,24 +207,21 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
         if (x, y) != (left, top):
             self.scroll_to(x, y, animate=False)
 
-    def action_move(self, columns: int, rows: int) -> None:
+    def action_arrow(self, columns: int, rows: int) -> None:
         last = max(len(self._matrix.robots) - 1, 0)
         row, column = self.cursor
         self.cursor = (min(max(row + rows, 0), last), min(max(column + columns, 0), last))
         self._keep_in_sight()
         self.repaint()
 
-    def action_quantity(self) -> None:
-        """Shows the next quantity: errors, regression errors, overlap, age, verdict."""
-        at = QUANTITIES.index(self.quantity)
-        self.quantity = QUANTITIES[(at + 1) % len(QUANTITIES)]
-        self.repaint()
-
-    def action_choose(self) -> None:
-        robots = self._matrix.robots
-        row, column = self.cursor
-        if row != column and max(row, column) < len(robots):
-            self.post_message(self.Chosen(robots[row], robots[column]))
+    def action_do(self, command: str) -> None:
+        """Selects the pair under the cursor; all else is done at the desk."""
+        robots, (row, column) = self._matrix.robots, self.cursor
+        if command != "select":
+            self._do(command)
+            self.repaint()
+        elif row != column and max(row, column) < len(robots):
+            self._do("select", a=robots[row], b=robots[column])
 
     def on_click(self, event: events.Click) -> None:
         offset = event.get_content_offset(self)
@@ -241,7 +229,7 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
         if cell is not None:
             self.cursor = cell
             self.repaint()
-            self.action_choose()
+            self.action_do("select")
 
 
 def cell_style(cell: Cell, selected: bool, at_cursor: bool) -> Style:
@@ -251,7 +239,9 @@ def cell_style(cell: Cell, selected: bool, at_cursor: bool) -> Style:
     background = "cursor" if at_cursor else "back"
     if cell.bold:
         return style("bright", background, True)
-    return style("axes" if cell.text == SELF else TONES.get(cell.verdict, "faint"), background)
+    value = cell.level is not None and cell.verdict is None
+    tone = "axes" if cell.text == SELF else "text" if value else TONES.get(cell.verdict, "faint")
+    return style(tone, background)
 
 
 def shorten(name: str, length: int) -> str:

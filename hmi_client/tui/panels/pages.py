@@ -9,19 +9,11 @@ from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from fleetpose.hmi_client.cli.why import why_record, why_text
+from fleetpose.hmi_client.desk.keymap import PLACES, KeyMap, of_place, printed
+from fleetpose.hmi_client.desk.words import age_text, signs
 from fleetpose.hmi_client.model.session import OperatorSession
-from fleetpose.hmi_client.tui.bindings import PLACES, KeyMap, printed
 
 RENEWED_S = 0.5
-SIGNS = """
-Matrix   1.2   error of the pair, root mean square          bold  the largest of all
-         -     above the threshold, or rejected; {hide} and {show} move it
-         ~     known only through others                    ·     never tried
-         •     points were clicked in this pair               ◂     another operator is there
-Map      ● located   ○ not   ─ heading   ⠒ two sigma        apart: not joined to the anchor
-Image    1 a point that was clicked   1! contradicts the solution   x rejected or being erased
-         ◆ the half that was picked   ◇ where the other half is expected
-""".strip("\n")
 
 
 class Page(ModalScreen[None]):
@@ -69,21 +61,19 @@ class Page(ModalScreen[None]):
 def help_text(keymap: KeyMap) -> str:
     """All keys, by where they work, and what the signs mean."""
     parts = []
-    for where, bindings in PLACES.items():
-        lines = []
-        for b in bindings:
-            if b.description:
-                keys = " ".join(map(printed, keymap.keys(b).split(",")))
-                lines.append(f"  {keys:<14}{b.description:<11}{b.tooltip}")
-        parts.append("\n".join((where, *lines)))
-    names = keymap.names()
-    signs = SIGNS.format(hide=names["hide-more"], show=names["show-more"])
-    return "\n\n".join((*parts, signs))
+    for place in PLACES:
+        lines = [
+            f"  {' '.join(map(printed, keymap.keys(command))):<14}{command.label:<11}{command.does}"
+            for command in of_place(place)
+        ]
+        parts.append("\n".join((place.capitalize(), *lines)))
+    return "\n\n".join((*parts, signs(keymap.names())))
 
 
 def events_text(session: OperatorSession) -> str:
     """What happened, the newest first."""
-    return "\n".join(reversed(session.events)) or "nothing has happened yet"
+    told = [f"{age_text(age_s):>9}  {text}" for age_s, text in session.timed_events()]
+    return "\n".join(told) or "nothing has happened yet"
 
 
 class WhyPages:

@@ -1,6 +1,6 @@
 """What the panels share: they hold finished strips and repaint only the rows that changed."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from rich.segment import Segment
 from rich.style import Style
@@ -11,6 +11,9 @@ from textual.widget import Widget
 
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.tui.drawing.palette import style
+
+Do = Callable[..., None]
+"""Carries out a command of the desk with its arguments, and tells what refuses it."""
 
 
 class PanelMixin(Widget):
@@ -46,6 +49,9 @@ class PanelMixin(Widget):
         ]
         if changed:
             self.refresh(*changed)
+
+    def action_do(self, command: str) -> None:
+        """A command by its key, as far as it is a panel's."""
 
     @property
     def extent(self) -> Size:

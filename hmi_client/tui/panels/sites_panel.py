@@ -7,7 +7,7 @@ from textual.events import Click
 from textual.message import Message
 from textual.strip import Strip
 
-from fleetpose.hmi_client.assist.prompts import site_text
+from fleetpose.hmi_client.desk.words import site_text
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.tui.drawing.palette import style
 from fleetpose.hmi_client.tui.panels.panel import PanelMixin

@@ -56,7 +56,7 @@ def read_zed(content: Mapping[str, Any], size: tuple[int, int] | None, where: st
     if not isinstance(stereo, Mapping):
         raise CalibrationError(f"{where} (ZED) lacks [STEREO]")
     turn = [_zed_number(stereo, f"{name}_{mode}", where) for name in ("rx", "cv", "rz")]
-    shift = [_zed_number(stereo, f"{name}_{mode}", where) for name in ("ty", "tz")]
+    shift = [_zed_shift(stereo, name, mode, where) for name in ("ty", "tz")]
     baseline = float(numbers(stereo, "baseline", where, 1)[0])
     # turns points of the left camera to the right one; where that stands is told with another sign
     R = np.asarray(cv2.Rodrigues(np.array(turn))[0], np.float64)
@@ -74,6 +74,12 @@ def _zed_lens(content: Mapping[str, Any], section: str, where: str) -> Lens:
 
 def _zed_number(section: Mapping[str, Any], name: str, where: str) -> float:
     return float(flat(section.get(name.lower(), 0.0), name, where)[0])
+
+
+def _zed_shift(stereo: Mapping[str, Any], name: str, mode: str, where: str) -> float:
+    """Older files have one for all sizes."""
+    own = f"{name}_{mode}"
+    return _zed_number(stereo, own if own.lower() in stereo else name, where)
 
 
 def is_oak(content: Mapping[str, Any]) -> bool:

@@ -16,6 +16,10 @@ LensModel = Literal["normal", "fisheye"]
 "KannalaBrandt8"). Those of one under the name of the other put depths off by a fifth."""
 
 _FISHEYE = ("fisheye", "equi", "equidistant", "kannala", "kb4", "kb8")
+FURTHEST_CENTRE = 0.18
+"""Share of the image's side by which the optical axis may be off its middle where no file says the
+size; half the size has 0.25, and crops of data sets have up to 0.1."""
+_ALIKE = 0.1  # by which its place may differ across and down, of images of another size
 _NORMAL = ("radtan", "plumb", "radial", "rational", "pinhole", "brown", "none", "normal")
 
 
@@ -125,3 +129,21 @@ def between_rectified(R_left: Floats, R_right: Floats, P_right: Floats) -> Float
     """
     R = R_right.T @ R_left
     return rigid(R, R_right.T @ np.array([P_right[0, 3] / P_right[0, 0], 0.0, 0.0]))
+
+
+def check_centre(K: Floats, size: tuple[int, int], where: str) -> None:
+    """What a file that does not say its images' size may give away: its middle is not theirs.
+
+    Raises:
+        CalibrationError: the optical axis is as far from the middle across as down.
+    """
+    cx, cy = float(K[0, 2]), float(K[1, 2])
+    across, down = cx / size[0], cy / size[1]
+    off = max(abs(across - 0.5), abs(down - 0.5))
+    if off > FURTHEST_CENTRE and min(cx, cy) > 0 and abs(across - down) < _ALIKE:
+        raise CalibrationError(
+            f"{where} has its optical axis at {cx:.0f}, {cy:.0f}, as images of about "
+            f"{2 * cx + 1:.0f}x{2 * cy + 1:.0f} have, and these are {size[0]}x{size[1]}: scale fx, "
+            "fy, cx and cy to their size, or write the size that it was made at into it (width, height) "
+            "if that is theirs"
+        )

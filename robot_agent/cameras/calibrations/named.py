@@ -45,6 +45,7 @@ _SHAPE = ("shape", "imageshape", "imgshape")
 _WIDTH, _HEIGHT = ("width", "imagewidth", "imgwidth"), ("height", "imageheight", "imgheight")
 _MODEL = ("distortionmodel", "lensmodel", "lens", "cameramodel", "model")
 _TANGENTIAL = 0.005  # p1, p2 of a normal lens: production lenses are centred better than this
+_BARREL = -0.1  # k1 of normal lenses; a fisheye's model has the barrel in it, and k1 is near 0
 _WIDE_RAD = np.radians(90.0)  # as far as the normal model is used for
 
 
@@ -136,7 +137,7 @@ def _guess(K: Floats, D: Floats, size: tuple[int, int] | None, where: str) -> Le
     off_centre = np.abs(D[2:]).max() > _TANGENTIAL
     if wide and off_centre:
         return "fisheye"
-    if not wide and not off_centre:
+    if D[0] < _BARREL and not off_centre:
         return "normal"
     raise CalibrationError(
         f"{where} has 4 numbers of distortion and does not say what they are: write "

@@ -14,12 +14,13 @@ from fleetpose.robot_agent.cameras.calibrations import (
     datasets,
     devices,
     kalibr,
+    listed,
     named,
     orbslam,
     ros,
     vio,
 )
-from fleetpose.robot_agent.cameras.calibrations.lens import StereoPair
+from fleetpose.robot_agent.cameras.calibrations.lens import StereoPair, check_centre
 from fleetpose.robot_agent.cameras.calibrations.tree import read_tree
 from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
 
@@ -39,13 +40,16 @@ _SIDES = (
     ("left", "right"),
     ("cam0", "cam1"),
     ("camera0", "camera1"),
+    ("Left", "Right"),
+    ("LEFT", "RIGHT"),
+    ("infra1", "infra2"),
     ("_l.", "_r."),
     ("_0.", "_1."),
 )
 TOOLS = (
     "OpenCV (also with intrinsics.yml and extrinsics.yml), Kalibr, OpenVINS, ROS camera_info "
-    "(left.yaml with right.yaml), ORB-SLAM2 and 3, EuRoC sensor.yaml, VINS-Fusion, Basalt, KITTI, "
-    "Middlebury, Stereolabs ZED, Luxonis OAK"
+    "(left.yaml with right.yaml), ORB-SLAM2 and 3, EuRoC sensor.yaml, Kimera-VIO, OKVIS, maplab, "
+    "VINS-Fusion, Basalt, KITTI, Middlebury, ETH3D, Stereolabs ZED, Luxonis OAK"
 )
 
 
@@ -80,7 +84,10 @@ def read_rig_file(path: Path, size: Size | None = None, unit_m: float | None = N
     """
     if not path.is_file():
         raise CalibrationError(f"there is no calibration {path}")
-    pair = _read(path, read_tree(path), size)
+    if datasets.is_eth3d(path):
+        pair = datasets.read_eth3d(path)
+    else:
+        pair = _read(path, read_tree(path), size)
     return rig_of_pair(pair, str(path), size, unit_m)
 
 
@@ -108,6 +115,9 @@ def rig_of_pair(
     Raises:
         CalibrationError: it cannot be.
     """
+    if pair.size is None and size is not None:
+        check_centre(pair.left.K, size, where)
+        check_centre(pair.right.K, size, where)
     size = pair.size or size
     if size is None:
         raise CalibrationError(f"{where} lacks width and height of the images")
@@ -151,6 +161,7 @@ def _read(path: Path, content: Mapping[str, Any], size: Size | None) -> StereoPa
         (datasets.is_middlebury, lambda: datasets.read_middlebury(content, where)),
         (datasets.is_kitti, lambda: datasets.read_kitti(content, where, _is_colour(path))),
         (vio.is_basalt, lambda: vio.read_basalt(content, where)),
+        (listed.recognises, lambda: listed.read(content, where)),
         (vio.is_vins, lambda: _vins(path, content)),
         (kalibr.recognises, lambda: kalibr.read(content, where)),
         (orbslam.recognises, lambda: orbslam.read(content, where)),
@@ -196,7 +207,7 @@ def _right_of(path: Path, tool: str) -> Mapping[str, Any]:
             return read_tree(partner)
     raise CalibrationError(
         f"{path} ({tool}) is of one eye: put the right one's beside it"
-        + (f", as {tried[0]}" if tried else ", and give left.yaml with right.yaml")
+        + (f", as {tried[0]}" if tried else ": left.yaml with right.yaml, or cam0/ with cam1/")
     )
 
 

@@ -1,5 +1,5 @@
 """ROS: `camera_info` of both eyes, as `camera_calibration` writes it into left.yaml and
-right.yaml. What rectifies them says how they stand to each other.
+right.yaml, or as messages of both. What rectifies them says how they stand to each other.
 """
 
 from collections.abc import Mapping
@@ -16,10 +16,21 @@ from fleetpose.robot_agent.cameras.calibrations.lens import (
     numbers,
 )
 
+_OF_MESSAGES = {
+    "k": "camera_matrix",
+    "d": "distortion_coefficients",
+    "r": "rectification_matrix",
+    "p": "projection_matrix",
+    "width": "image_width",
+    "height": "image_height",
+}
+"""The fields of a `CameraInfo` (ROS 1: in capitals), as `topic echo` writes them."""
+
 
 def recognises(content: Mapping[str, Any]) -> bool:
-    """Whether it is the file of one eye."""
-    return "projection_matrix" in content and "camera_matrix" in content
+    """Whether it is the file of one eye, or its message."""
+    named = _named(content)
+    return "projection_matrix" in named and "camera_matrix" in named and "image_width" in named
 
 
 def read(left: Mapping[str, Any], right: Mapping[str, Any], where: str) -> StereoPair:
@@ -28,6 +39,7 @@ def read(left: Mapping[str, Any], right: Mapping[str, Any], where: str) -> Stere
     Raises:
         CalibrationError: something is missing, or it is two times the same eye.
     """
+    left, right = _named(left), _named(right)
     P = [numbers(eye, "projection_matrix", where, 12).reshape(3, 4) for eye in (left, right)]
     if P[1][0, 3] == 0:
         raise CalibrationError(
@@ -44,6 +56,11 @@ def read(left: Mapping[str, Any], right: Mapping[str, Any], where: str) -> Stere
     return StereoPair(
         lenses[0], lenses[1], between_rectified(rotations[0], rotations[1], P[1]), size
     )
+
+
+def _named(content: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A message's fields under the names that `camera_calibration` gives them."""
+    return {_OF_MESSAGES.get(name.lower(), name): value for name, value in content.items()}
 
 
 def _lens(eye: Mapping[str, Any], where: str) -> Lens:

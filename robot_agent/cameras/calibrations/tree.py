@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from fleetpose.protocol.errors import CalibrationError
+from fleetpose.robot_agent.cameras.folders.files import text_of
 
 MAX_BYTES = 4 * 1024 * 1024
 _OPENCV_HEADER = re.compile(r"\A\s*%YAML[^\n]*\n")  # of a kind that YAML itself does not know
@@ -47,7 +48,7 @@ def _text_of(path: Path) -> str:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise CalibrationError(f"{path} is larger than any calibration")
-        return path.read_text(encoding="utf-8-sig")  # with or without a byte order mark
+        return text_of(path)
     except (OSError, ValueError) as error:
         raise CalibrationError(f"{path} cannot be read: {error}") from error
 
@@ -70,7 +71,7 @@ def _yaml(path: Path, text: str) -> Any:
     )
     text = _TIGHT.sub(r"\1: ", _OPENCV_HEADER.sub("", text.expandtabs(2)))
     try:
-        return yaml.load(text, Loader)
+        return next(iter(yaml.load_all(text, Loader)), None)  # of `topic echo`, the first message
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise CalibrationError(f"{path} cannot be read as YAML: {error}") from error
 

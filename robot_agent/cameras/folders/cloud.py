@@ -17,7 +17,13 @@ import numpy.typing as npt
 from fleetpose.protocol.errors import DataFolderError
 from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, NoiseModel
 from fleetpose.protocol.messages import Camera as CameraModel
-from fleetpose.robot_agent.cameras.base import DepthImage, Frame, Ranges, ScatteredPoints
+from fleetpose.robot_agent.cameras.base import (
+    DepthImage,
+    Frame,
+    OtherKindError,
+    Ranges,
+    ScatteredPoints,
+)
 from fleetpose.robot_agent.cameras.folders.cloud_files import ENDINGS, read_points
 from fleetpose.robot_agent.cameras.folders.files import model_of
 from fleetpose.robot_agent.cameras.replay import replay_order
@@ -128,7 +134,7 @@ def open_camera(
     path = Path(source)
     files = [path] if path.is_file() else scans_in(path)
     if not files:
-        raise DataFolderError(f"{path} holds no scan: {', '.join(ENDINGS)}")
+        raise OtherKindError(f"{path} holds no scan: {', '.join(ENDINGS)}")
     return CloudFiles(files, axes, metres_per_unit, replay)
 
 

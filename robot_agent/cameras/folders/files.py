@@ -1,5 +1,6 @@
 """Reading a recording's files, with errors that name the file."""
 
+import codecs
 import json
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,20 @@ def read_raw_depth(path: Path) -> npt.NDArray[np.uint16]:
     return np.asarray(raw, np.uint16)
 
 
+def text_of(path: Path) -> str:
+    """The text of a file in UTF-8 or, as Windows' shell writes it, UTF-16, with or without a byte
+    order mark.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is in neither.
+    """
+    content = path.read_bytes()
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return content.decode("utf-16")
+    return content.decode("utf-8-sig")
+
+
 def read_json(path: Path) -> Any:
     """The content of a JSON file.
 
@@ -69,7 +84,7 @@ def read_json(path: Path) -> Any:
         DataFolderError: it is missing or no JSON.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(text_of(path))
     except (OSError, ValueError, RecursionError) as error:
         raise DataFolderError(f"{path} cannot be read as JSON: {error}") from error
 
@@ -82,7 +97,7 @@ def read_numbers(path: Path) -> npt.NDArray[np.float64]:
         CalibrationError: a line holds something else, or not as many numbers as the first.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = text_of(path).splitlines()
     except (OSError, ValueError) as error:
         raise CalibrationError(f"{path} cannot be read: {error}") from error
     rows: list[list[float]] = []

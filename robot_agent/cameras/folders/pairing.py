@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.cameras.base import OtherKindError
 
 log = logging.getLogger(__name__)
 
@@ -33,13 +34,13 @@ def eyes_of(folder: Path) -> tuple[Path, Path]:
     """The folders of the left and the right images, in any layout that is known.
 
     Raises:
-        DataFolderError: there are none.
+        OtherKindError: there are none.
     """
     for left, right in _LAYOUTS:
         if (folder / left).is_dir() and (folder / right).is_dir():
             return folder / left, folder / right
     known = ", ".join(f"{left} with {right}" for left, right in _LAYOUTS)
-    raise DataFolderError(f"{folder} has no images of two eyes: put them into {known}")
+    raise OtherKindError(f"{folder} has no images of two eyes: put them into {known}")
 
 
 def list_images(folder: Path) -> list[Path]:

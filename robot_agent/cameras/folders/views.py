@@ -21,7 +21,7 @@ from pydantic import ValidationError
 from fleetpose.protocol.errors import CalibrationError, DataFolderError
 from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, NoiseModel
 from fleetpose.protocol.messages import Camera as CameraModel
-from fleetpose.robot_agent.cameras.base import Frame, ScatteredPoints
+from fleetpose.robot_agent.cameras.base import Frame, OtherKindError, ScatteredPoints
 from fleetpose.robot_agent.cameras.folders.files import noise_of, read_colour, read_json
 from fleetpose.robot_agent.cameras.replay import replay_order
 
@@ -98,10 +98,13 @@ def open_camera(
         view: the one view to take, by name, with or without its ending; all if not given.
 
     Raises:
-        DataFolderError: a file is missing, or there is no such view.
+        OtherKindError: it has no `cameras.json`.
+        DataFolderError: another file is missing, or there is no such view.
         CalibrationError: a view lacks its size or K.
     """
     folder = Path(source)
+    if not (folder / "cameras.json").is_file():
+        raise OtherKindError(f"{folder} holds no cameras.json with posed views")
     content = read_json(folder / "cameras.json")
     entries = content.get("cameras") if isinstance(content, dict) else None
     if not isinstance(entries, list) or not all(

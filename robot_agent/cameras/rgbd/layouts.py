@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.cameras.base import OtherKindError
 from fleetpose.robot_agent.cameras.folders.pairing import list_images, paired
 from fleetpose.robot_agent.cameras.rgbd.lists import MAX_DIFFERENCE_S, associated, paired_already
 
@@ -51,14 +52,14 @@ def layout_of(folder: Path) -> Layout:
     """What a folder is.
 
     Raises:
-        DataFolderError: it holds no frames in any layout that is known, or a list of them cannot be
-            read.
+        OtherKindError: it holds no frames in any layout that is known.
+        DataFolderError: a list of them cannot be read.
     """
     for find in _LAYOUTS:
         layout = find(folder)
         if layout is not None and layout.shots:
             return layout
-    raise DataFolderError(
+    raise OtherKindError(
         f"{folder} holds no RGB-D frames: neither frame-*.depth.png with colour (7-Scenes), nor "
         "rgb.txt and depth.txt or associations.txt (TUM, ETH3D, ICL-NUIM), nor depth/ with rgb/ or "
         "color/ (ScanNet), nor results/depth*.png with frame*.jpg (Replica)"

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from fleetpose.protocol.errors import DataFolderError
+from fleetpose.robot_agent.cameras.folders.files import text_of
 
 MAX_DIFFERENCE_S = 0.02  # TUM's own tool allows it
 
@@ -57,6 +58,8 @@ def paired_already(path: Path) -> list[tuple[Path, Path]]:
 def _times(path: Path) -> list[tuple[float, Path]]:
     rows = []
     for number, words in _rows(path):
+        if not rows and words[0][:1].isalpha():
+            continue  # a header without its mark
         try:
             rows.append((_seconds(words[0]), path.parent / words[1]))
         except (ValueError, IndexError) as error:
@@ -69,11 +72,11 @@ def _times(path: Path) -> list[tuple[float, Path]]:
 def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     """The words of each line, with its number; lines that begin with # are left out."""
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = text_of(path).splitlines()
     except (OSError, ValueError) as error:
         raise DataFolderError(f"{path} cannot be read: {error}") from error
     for number, line in enumerate(lines, 1):
-        if words := line.partition("#")[0].replace(",", " ").split():
+        if words := line.partition("#")[0].replace(",", " ").replace(";", " ").split():
             yield number, words
 
 

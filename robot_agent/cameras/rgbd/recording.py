@@ -13,6 +13,7 @@ from fleetpose.protocol.errors import CalibrationError, DataFolderError
 from fleetpose.protocol.messages import ROBOT_FROM_CAMERA, NoiseModel
 from fleetpose.protocol.messages import Camera as CameraModel
 from fleetpose.robot_agent.cameras.base import DepthImage, Frame
+from fleetpose.robot_agent.cameras.calibrations.lens import check_centre
 from fleetpose.robot_agent.cameras.folders.files import (
     NO_DEPTH,
     model_of,
@@ -27,7 +28,7 @@ from fleetpose.robot_agent.cameras.rgbd.intrinsics import (
     intrinsics_in,
     read_intrinsics,
 )
-from fleetpose.robot_agent.cameras.rgbd.layouts import TUM_STEPS_PER_M, Layout, Shot, layout_of
+from fleetpose.robot_agent.cameras.rgbd.layouts import MM, TUM_STEPS_PER_M, Layout, Shot, layout_of
 
 log = logging.getLogger(__name__)
 
@@ -36,6 +37,7 @@ NEAREST_M = 0.3  # before, structured light, time of flight and stereo chips giv
 _SHARE = 5.0  # percent of the pixels that may be nearer, or further, all the same
 TUM_SIZE = (640, 480)
 _SAME_VIEW = 0.02  # of the sides' ratio: ScanNet's 1296x968 and 640x480
+_NEAR_M, _FAR_M = FURTHEST_M / 5, 10.0  # where all that a room has is nearer, or as far as any
 _LOOKED_AT = 8  # depth images of a recording
 KINECT_NOISE = NoiseModel(pixel_sigma_px=0.7, depth_sigma_m=(0.0008, 0.0, 0.0016))
 """A Kinect's axial noise 0.0012 + 0.0019 (z - 0.4)^2 (Nguyen, Izadi and Lovell, 3DIMPVT 2012).
@@ -103,6 +105,8 @@ def open_camera(
     layout = layout_of(folder)
     known = intrinsics_in(folder) if calibration is None else read_intrinsics(calibration)
     known = known or _usual(folder, layout)
+    rows, columns = read_raw_depth(layout.shots[0].depth).shape
+    check_centre(known.K, (columns, rows), f"the calibration of {folder}")
     steps_per_m = known.steps_per_m or layout.steps_per_m
     if depth_scale is None:
         _check_depths([shot.depth for shot in layout.shots], steps_per_m)
@@ -147,11 +151,16 @@ def _check_depths(paths: list[Path], steps_per_m: float) -> None:
     if not depth.size:
         return
     near, middle, far = np.percentile(depth, (_SHARE, 50, 100 - _SHARE))
-    in_fifths = steps_per_m == TUM_STEPS_PER_M and far < FURTHEST_M / (TUM_STEPS_PER_M / 1000)
-    if near >= NEAREST_M and middle <= FURTHEST_M and not in_fifths:
+    in_fives = bool((raw[raw < NO_DEPTH] % 5 == 0).all())  # of a sensor that counts mm
+    if steps_per_m == TUM_STEPS_PER_M:
+        other, wrong = MM, far < _NEAR_M or (far < _FAR_M / 5 and not in_fives)
+    else:
+        other, wrong = TUM_STEPS_PER_M, steps_per_m == MM and in_fives and far > FURTHEST_M
+    if near >= NEAREST_M and middle <= FURTHEST_M and not wrong:
         return
+    meant = "are in millimetres" if other == MM else "have TUM's scale"
     raise DataFolderError(
         f"{path} would show {near:.2g} to {far:.2g} m at {steps_per_m:g} steps per metre, as its "
-        "layout has it, and no such camera does: give --depth-scale STEPS, 1000 if its depths are "
-        f"in millimetres, {steps_per_m:g} if they are right"
+        f"layout has it, and no such camera does: give --depth-scale STEPS, {other:g} if its "
+        f"depths {meant}, {steps_per_m:g} if they are right"
     )

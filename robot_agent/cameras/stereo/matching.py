@@ -62,17 +62,18 @@ class StereoMatcher:
         K, baseline_m = self.rectifier.K, self.rectifier.baseline_m
         nearest_m = nearest_m or NEAREST_BASELINES * baseline_m
         largest = K[0, 0] * baseline_m / nearest_m
-        if largest > rig.size[0] // 2:
+        width, height = self.rectifier.size
+        if largest > width // 2:
             raise CalibrationError(
                 f"things {nearest_m:g} m away would move {largest:.0f} px between images of "
-                f"{rig.size[0]} px: check the baseline ({baseline_m:g} m), or see less near"
+                f"{width} px: check the baseline ({baseline_m:g} m), or see less near"
             )
         self._full, self._half = _Sgbm(largest + 1), _Sgbm(largest / 2 + 1)
         self._matched: tuple[StillImage, StillImage, DisparityImage] | None = None
         self.model = model_of(
             "the stereo calibration",
-            width=rig.size[0],
-            height=rig.size[1],
+            width=width,
+            height=height,
             K=K,
             T_robot_camera=self.rectifier.T_robot_rectified,
             noise=NoiseModel.stereo(K[0, 0], baseline_m, DISPARITY_SIGMA_PX, PIXEL_SIGMA_PX),

@@ -1,4 +1,4 @@
-"""Where pairs of images come from: a folder, one stream with both eyes side by side, or two."""
+"""Where pairs of images come from: a folder, one stream with both eyes in it, or two."""
 
 import logging
 import threading
@@ -23,6 +23,7 @@ from fleetpose.robot_agent.cameras.folders.pairing import (
 from fleetpose.robot_agent.cameras.reader import Reader
 from fleetpose.robot_agent.cameras.replay import replay_order
 from fleetpose.robot_agent.cameras.stereo.video import (
+    Eyes,
     FilePlayer,
     Player,
     VideoSettings,
@@ -115,7 +116,7 @@ def open_pairs(
     try:
         for name in names:
             players.append(open_player(name, replay, video))
-        return PairStream(players, video.max_skew_ms, stop)
+        return PairStream(players, video.max_skew_ms, stop, video.eyes)
     except Exception:
         for player in players:
             player.release()
@@ -155,6 +156,7 @@ class PairStream:
         players: one or two streams.
         max_skew_ms: see `VideoSettings`.
         stop: ends the waiting for a pair.
+        eyes: of one stream, whether both eyes lie beside or below each other in its images.
 
     Raises:
         CameraError: the streams do not belong together, or one cannot be halved.
@@ -163,12 +165,19 @@ class PairStream:
     own_pace = True
 
     def __init__(
-        self, players: list[Player], max_skew_ms: float, stop: threading.Event | None = None
+        self,
+        players: list[Player],
+        max_skew_ms: float,
+        stop: threading.Event | None = None,
+        eyes: Eyes = "side-by-side",
     ) -> None:
-        _check_together(players)
+        self._rows_first = eyes == "top-bottom"
+        _check_together(players, self._rows_first)
         self.name = ",".join(player.name for player in players)
         width, height = players[0].size
-        self.size = (width // 2, height) if len(players) == 1 else (width, height)
+        if len(players) == 1:
+            width, height = (width, height // 2) if self._rows_first else (width // 2, height)
+        self.size = width, height
         self.folder = None if players[0].live else Path(players[0].name).parent
         self._max_skew_ms = max_skew_ms
         self._stop = stop or threading.Event()
@@ -201,8 +210,8 @@ class PairStream:
         if not reader.stills:
             return None
         still = reader.stills[0]
-        half = self.size[0]
-        return ImagePair(still.image[:, :half], still.image[:, half:], still.stamp_ns)
+        one, other = np.split(still.image, 2, axis=0 if self._rows_first else 1)
+        return ImagePair(one, other, still.stamp_ns)
 
     def _nearest(self) -> ImagePair | None:
         """Two images of each eye, and of these the two that were taken closest together: with one
@@ -287,11 +296,13 @@ class PairStream:
             )
 
 
-def _check_together(players: list[Player]) -> None:
+def _check_together(players: list[Player], rows_first: bool) -> None:
     one, other = players[0], players[-1]
-    if one.size[0] % 2 and len(players) == 1:
+    side = one.size[1] if rows_first else one.size[0]
+    if side % 2 and len(players) == 1:
         raise CameraError(
-            f"images of {one.name} are {one.size[0]} px wide: not two side by side; give left,right"
+            f"images of {one.name} are {side} px {'high' if rows_first else 'wide'}: not two "
+            f"{'below each other' if rows_first else 'side by side'}; give --eyes, or left,right"
         )
     if one.size != other.size:
         raise CameraError(

@@ -5,15 +5,17 @@ import numpy as np
 import numpy.typing as npt
 
 from fleetpose.protocol.errors import CalibrationError
-from fleetpose.robot_agent.cameras.stereo.rig import Floats, StereoRig
+from fleetpose.robot_agent.cameras.stereo.rig import Floats, StereoRig, laid_down
 
 Image = npt.NDArray[np.uint8]
 
 
 class Rectifier:
-    """Warps both images so that the same point lies in the same row.
+    """Warps both images so that the same point lies in the same row. Of cameras below each other
+    both are turned by 90 deg.
 
     Attributes:
+        size: width, height of the rectified images, px.
         K: (3, 3) intrinsics of both rectified images, px.
         baseline_m: between both cameras.
         T_robot_rectified: (4, 4) where the rectified left camera sits on the robot.
@@ -24,6 +26,10 @@ class Rectifier:
     """
 
     def __init__(self, rig: StereoRig) -> None:
+        self._is_turned = rig.is_upright
+        if self._is_turned:
+            rig = laid_down(rig)
+        self.size = rig.size
         self.K, self.baseline_m = rig.K_left, rig.baseline_m
         self.T_robot_rectified = rig.T_robot_left
         self.R_rect_left, self.R_rect_right = np.eye(3), np.eye(3)
@@ -53,6 +59,8 @@ class Rectifier:
         return self._warp(image, 1)
 
     def _warp(self, image: Image, side: int) -> Image:
+        if self._is_turned:
+            image = np.ascontiguousarray(np.rot90(image))
         if not self._maps:
             return image
         return np.asarray(cv2.remap(image, *self._maps[side], cv2.INTER_LINEAR), np.uint8)

@@ -67,6 +67,12 @@ class StereoRig:
         return float(np.linalg.norm(self.T_right_left[:3, 3]))
 
     @property
+    def is_upright(self) -> bool:
+        """Whether the second camera stands below the first."""
+        t = self.T_right_left[:3, 3]
+        return bool(abs(t[1]) > abs(t[0]))
+
+    @property
     def is_rectified(self) -> bool:
         """Whether the images need no rectification."""
         T = self.T_right_left
@@ -78,6 +84,42 @@ class StereoRig:
             and np.array_equal(self.K_left, self.K_right)
             and np.allclose(T, sideways, atol=1e-9)
         )
+
+
+def laid_down(rig: StereoRig) -> StereoRig:
+    """An upright rig as one side by side: both cameras turned by 90 deg about their axes, for
+    images that `np.rot90` has turned.
+
+    Raises:
+        CalibrationError: its lenses have terms that are not turned here.
+    """
+    if rig.lens == "normal" and max(rig.D_left.size, rig.D_right.size) > 8:
+        raise CalibrationError("cameras below each other need 8 terms of distortion at most")
+    Q = np.eye(4)
+    Q[:3, :3] = [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]  # x' points down, y' to the left
+    width, height = rig.size
+    return StereoRig(
+        _turned(rig.K_left, width),
+        _turned_lens(rig.D_left, rig.lens),
+        _turned(rig.K_right, width),
+        _turned_lens(rig.D_right, rig.lens),
+        Q @ rig.T_right_left @ Q.T,
+        (height, width),
+        rig.T_robot_left @ Q.T,
+        rig.lens,
+    )
+
+
+def _turned(K: Floats, width: int) -> Floats:
+    return np.array([[K[1, 1], 0, K[1, 2]], [0, K[0, 0], width - 1 - K[0, 2]], [0, 0, 1]])
+
+
+def _turned_lens(D: Floats, lens: LensModel) -> Floats:
+    """The tangential terms change places; radial ones know no direction."""
+    D = D.reshape(-1).copy()
+    if lens == "normal":
+        D[2], D[3] = -D[3], D[2]
+    return D
 
 
 def content_of(rig: StereoRig) -> dict[str, Any]:
@@ -99,11 +141,16 @@ def _check_pinhole(name: str, K: Floats, size: tuple[int, int]) -> None:
     largest = max(size)
     if not 0 < largest <= 16384:
         raise CalibrationError(f"images of {size[0]}x{size[1]} px: give width and height")
+    if min(K[0, 0], K[1, 1]) < 0:
+        raise CalibrationError(
+            f"{name} has fx {K[0, 0]:g} and fy {K[1, 1]:g}: a focal length below 0 (a way of "
+            "turning an axis round) is none: write it without the minus"
+        )
     inside = np.isfinite(K).all() and 0 < K[0, 2] < size[0] and 0 < K[1, 2] < size[1]
     if not inside or K[0, 0] <= 0 or K[1, 1] <= 0 or K[2].tolist() != [0, 0, 1] or K[1, 0] != 0:
         raise CalibrationError(
-            f"{name} is no pinhole matrix of a {size[0]}x{size[1]} image: "
-            "it needs [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels"
+            f"{name} is no pinhole matrix of a {size[0]}x{size[1]} image: it needs [[fx, 0, cx], "
+            f"[0, fy, cy], [0, 0, 1]] in pixels, and has {K.tolist()}"
         )
     if not (0.05 * largest < min(K[0, 0], K[1, 1]) and max(K[0, 0], K[1, 1]) < 200 * largest):
         raise CalibrationError(
@@ -126,10 +173,17 @@ def _check_baseline(t: Floats) -> None:
             f"the baseline is {baseline:g} m: t must be in metres, or its unit be told "
             "(--translation-unit)"
         )
+    if abs(t[1]) > 0.9 * baseline:
+        if t[1] > 0:
+            raise CalibrationError(
+                f"t = {np.round(t, 4).tolist()} puts the second camera above the first: give the "
+                "upper one as the left one"
+            )
+        return
     if abs(t[0]) < 0.9 * baseline:
         raise CalibrationError(
-            f"t = {np.round(t, 4).tolist()} does not point sideways: "
-            "only cameras side by side are supported"
+            f"t = {np.round(t, 4).tolist()} does not point sideways or down: only cameras beside "
+            "or below each other are supported"
         )
     if t[0] > 0:
         raise CalibrationError(

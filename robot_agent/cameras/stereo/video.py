@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -23,6 +23,8 @@ log = logging.getLogger(__name__)
 
 Image = npt.NDArray[np.uint8]
 Opener = Callable[..., Any]  # as cv2.VideoCapture; tests put a device of their own there
+
+Eyes = Literal["side-by-side", "top-bottom"]
 
 VIDEO_REPLAYS = ("once", "loop", "hold")
 RECONNECT_S = 10.0
@@ -41,16 +43,22 @@ class VideoSettings:
         fps: of a device, asked for; of a file, the pace it is played at instead of its own.
         fourcc: how a device codes its images, e.g. `MJPG`.
         max_skew_ms: images of two streams that were taken further apart are no pair.
+        eyes: how both lie in one image.
     """
 
     size: tuple[int, int] | None = None
     fps: float | None = None
     fourcc: str | None = None
     max_skew_ms: float = 10.0
+    eyes: Eyes = "side-by-side"
 
 
 def video_settings(
-    size: str | None, fps: float | None, fourcc: str | None, max_skew_ms: float
+    size: str | None,
+    fps: float | None,
+    fourcc: str | None,
+    max_skew_ms: float,
+    eyes: Eyes = "side-by-side",
 ) -> VideoSettings:
     """The settings with the size as it is written, `WIDTHxHEIGHT`.
 
@@ -58,11 +66,11 @@ def video_settings(
         CameraError: the size is none.
     """
     if size is None:
-        return VideoSettings(None, fps, fourcc, max_skew_ms)
+        return VideoSettings(None, fps, fourcc, max_skew_ms, eyes)
     width, _, height = size.partition("x")
     if not width.isdigit() or not height.isdigit():
         raise CameraError(f"'{size}' is no size: give WIDTHxHEIGHT")
-    return VideoSettings((int(width), int(height)), fps, fourcc, max_skew_ms)
+    return VideoSettings((int(width), int(height)), fps, fourcc, max_skew_ms, eyes)
 
 
 class Instant(NamedTuple):

@@ -1,11 +1,11 @@
-"""A recording as a file for Foxglove (https://foxglove.dev): its own schemas, in protobuf.
+"""A site for Foxglove (https://foxglove.dev), in its own schemas: into a file, or to whoever looks.
 
 Frames: `fleet` -> `<robot>` (body) -> `<robot>/camera`. A robot that is not located has none.
 """
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -51,8 +51,24 @@ _XYZ = [
 _HERE = Pose(orientation=Quaternion(w=1.0))
 
 
-class FoxgloveFile:
-    """Writes what is shown into an MCAP file for Foxglove.
+class Sink(Protocol):
+    """Where messages for Foxglove go."""
+
+    def offer(self, topic: str, schema: type[Any]) -> None:
+        """Tells that there will be such a topic, before its first message."""
+        ...
+
+    def put(self, topic: str, of: str, message: Any, at_ns: int) -> None:
+        """Takes a message about a robot or an entity, `of`, at a moment (UTC)."""
+        ...
+
+    def close(self) -> None:
+        """Nothing more comes."""
+        ...
+
+
+class FileSink:
+    """An MCAP file.
 
     Raises:
         RecordingError: the file is there already, or its folder is not.
@@ -62,6 +78,23 @@ class FoxgloveFile:
         self._file = new_file(path).open("xb")
         # zstd would halve the clouds and leave the images as they are, for 3 ms CPU a view
         self._writer = Writer(self._file, compression=CompressionType.NONE, profile="")
+
+    def offer(self, topic: str, schema: type[Any]) -> None:
+        """A file has only topics that something was said under."""
+
+    def put(self, topic: str, of: str, message: Any, at_ns: int) -> None:
+        self._writer.write_message(topic, message, at_ns, at_ns)
+
+    def close(self) -> None:
+        self._writer.finish()
+        self._file.close()
+
+
+class FoxgloveScene:
+    """Says what is shown as messages of Foxglove's."""
+
+    def __init__(self, sink: Sink) -> None:
+        self._sink = sink
         self._drawn: set[str] = set()
 
     def pose(self, said_ns: int, of_ns: int, pose: RobotPose, camera: Camera, colour: Rgb) -> None:
@@ -74,20 +107,20 @@ class FoxgloveFile:
                 _transform(at, robot, _camera_frame(robot), eye),
             ]
         )
-        self._put("/tf", transforms, said_ns)
+        self._sink.put("/tf", robot, transforms, said_ns)
         in_fleet = PoseInFrame(timestamp=at, frame_id=FLEET, pose=body)
-        self._put(f"/robot/{robot}/pose", in_fleet, said_ns)
+        self._sink.put(f"/robot/{robot}/pose", robot, in_fleet, said_ns)
         if robot not in self._drawn:
             self._drawn.add(robot)
             entity = _frustum_entity(at, robot, camera, colour)
-            self._put("/scene/robots", SceneUpdate(entities=[entity]), said_ns)
+            self._sink.put("/scene/robots", robot, SceneUpdate(entities=[entity]), said_ns)
 
     def lost(self, said_ns: int, robot: str) -> None:
         self._drawn.discard(robot)
         gone = SceneEntityDeletion(
             timestamp=_stamp(said_ns), type=SceneEntityDeletion.MATCHING_ID, id=robot
         )
-        self._put("/scene/robots", SceneUpdate(deletions=[gone]), said_ns)
+        self._sink.put("/scene/robots", robot, SceneUpdate(deletions=[gone]), said_ns)
 
     def cloud(self, at_ns: int, robot: str, xyz: Floats) -> None:
         message = PointCloud(
@@ -98,12 +131,13 @@ class FoxgloveFile:
             fields=_XYZ,
             data=np.ascontiguousarray(xyz, "<f4").tobytes(),
         )
-        self._put(f"/robot/{robot}/points", message, at_ns)
+        self._sink.offer(image_topic(robot), CompressedImage)
+        self._sink.put(f"/robot/{robot}/points", robot, message, at_ns)
 
     def image(self, at_ns: int, robot: str, jpeg: bytes, camera: Camera, scale: int) -> None:
         at, frame = _stamp(at_ns), _camera_frame(robot)
         message = CompressedImage(timestamp=at, frame_id=frame, data=jpeg, format="jpeg")
-        self._put(f"/robot/{robot}/image", message, at_ns)
+        self._sink.put(image_topic(robot), robot, message, at_ns)
         K = scaled(camera.K, scale)
         calibration = CameraCalibration(
             timestamp=at,
@@ -114,21 +148,17 @@ class FoxgloveFile:
             R=np.eye(3).ravel().tolist(),
             P=np.column_stack((K, np.zeros(3))).ravel().tolist(),
         )
-        self._put(f"/robot/{robot}/calibration", calibration, at_ns)
+        self._sink.put(f"/robot/{robot}/calibration", robot, calibration, at_ns)
 
     def links(self, at_ns: int, links: Sequence[ShownLink]) -> None:
         ends = [end for link in links for end in (link.a, link.b)]
         colours = [_colour(rgb(COLOURS[link.verdict])) for link in links for _ in range(2)]
         lines = _lines(ends, 2.0, colors=colours)
         entity = SceneEntity(timestamp=_stamp(at_ns), frame_id=FLEET, id="links", lines=[lines])
-        self._put("/scene/links", SceneUpdate(entities=[entity]), at_ns)
+        self._sink.put("/scene/links", "links", SceneUpdate(entities=[entity]), at_ns)
 
     def close(self) -> None:
-        self._writer.finish()
-        self._file.close()
-
-    def _put(self, topic: str, message: Any, at_ns: int) -> None:
-        self._writer.write_message(topic, message, at_ns, at_ns)
+        self._sink.close()
 
 
 def scaled(K: Floats, scale: int) -> Floats:
@@ -139,6 +169,11 @@ def scaled(K: Floats, scale: int) -> Floats:
     small[:2, 2] += 0.5 / scale - 0.5
     small[2, 2] = 1.0
     return small
+
+
+def image_topic(robot: str) -> str:
+    """Under which a robot's images come."""
+    return f"/robot/{robot}/image"
 
 
 def _camera_frame(robot: str) -> str:

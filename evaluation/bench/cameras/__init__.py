@@ -1,0 +1,1 @@
+"""`pose-eval cameras`: what is made of other people's cameras and files."""

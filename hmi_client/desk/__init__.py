@@ -1,0 +1,1 @@
+"""What an operator's hands and eyes need, whatever shows it: commands, keys, advice, colours."""

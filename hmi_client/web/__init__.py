@@ -1,0 +1,1 @@
+"""The bridge between an operator's browser and the site: `hmi-client web`."""

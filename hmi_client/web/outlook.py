@@ -1,0 +1,119 @@
+"""The newest frame of each kind and the pictures that are shown, numbered, so that a page knows
+what it has not sent yet.
+"""
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from fleetpose.hmi_client.desk.desk import Desk
+from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.hmi_client.model.records import Pair, Picture
+from fleetpose.hmi_client.web import frames, told
+from fleetpose.protocol.messages import ViewName
+
+ORDER = ("names", "list", "step", "assist", "pair", "questions", "health", "clock")
+"""In which text frames are sent; the images of a pair come behind its list."""
+FLEET = ("matrix", "poses")
+KEPT = 24  # pictures: a page is one or two behind
+
+
+class Outlook:
+    """One thread puts, any thread reads."""
+
+    def __init__(self) -> None:
+        self._values: dict[str, Any] = {}
+        self._frames: dict[str, tuple[int, str | bytes]] = {}
+        self._count = 0
+
+    def put(self, name: str, frame: told.Frame | None, always: bool = False) -> bool:
+        """Takes a text frame; whether it is another one than before, or `always`."""
+        if frame is None or (frame == self._values.get(name) and not always):
+            return False
+        self._values[name] = frame
+        return self._take(name, told.text_of(frame))
+
+    def put_fleet(self, desk: Desk) -> bool:
+        """Makes matrix and map; whether one has changed."""
+        session, fleet = desk.session, desk.session.fleet
+        if fleet is None:
+            return False
+        robots = session.robots()
+        asked = [(q.i, q.j) for q in fleet.questions]
+        made = {
+            "matrix": frames.matrix(fleet, robots, session.threshold_m, desk.quantity, asked),
+            "poses": frames.poses(robots, session.poses(), fleet.anchor),
+        }
+        changed = [self._put_bytes(name, frame) for name, frame in made.items()]
+        return any(changed)
+
+    def value(self, name: str) -> Mapping[str, Any] | None:
+        """The newest text frame of a kind, unpacked."""
+        return self._values.get(name)
+
+    def version(self, name: str) -> int:
+        """The number of the newest frame of a kind; 0 without one."""
+        return self._frames.get(name, (0, ""))[0]
+
+    def since(self, name: str, version: int) -> tuple[int, str | bytes] | None:
+        """The newest frame of a kind and its number, unless it was had."""
+        known = self._frames.get(name)
+        return known if known is not None and known[0] != version else None
+
+    def _put_bytes(self, name: str, frame: bytes) -> bool:
+        known = self._frames.get(name)
+        return (known is None or known[1] != frame) and self._take(name, frame)
+
+    def _take(self, name: str, frame: str | bytes) -> bool:
+        self._count += 1
+        self._frames[name] = self._count, frame
+        return True
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A picture on a side; `id` is its number."""
+
+    id: int
+    pair: Pair
+    picture: Picture
+
+
+class Pictures:
+    """Numbers what is shown, and remembers it until a page has surely drawn something newer."""
+
+    def __init__(self) -> None:
+        self.shown: tuple[Shown | None, Shown | None] = (None, None)
+        self._kept: OrderedDict[int, Picture] = OrderedDict()
+        self._numbers: dict[ViewName, int] = {}
+        self._count = 0
+
+    def follow(self, desk: Desk) -> bool:
+        """Takes what a desk shows now; whether that is something else."""
+        before = self.shown
+        self.shown = self._of(desk, 0), self._of(desk, 1)
+        return self.shown != before
+
+    def seen(self, id: int) -> Picture:
+        """The picture that a page calls by a number.
+
+        Raises:
+            OperatorError: it was too long ago.
+        """
+        if id not in self._kept:
+            raise OperatorError("that image has gone: look at the newest one and pick again")
+        return self._kept[id]
+
+    def _of(self, desk: Desk, side: int) -> Shown | None:
+        picture, pair = desk.picture(side), desk.session.pair
+        if picture is None or pair is None:
+            return None
+        if picture.view not in self._numbers:
+            self._count += 1
+            self._numbers[picture.view] = self._count
+            self._kept[self._count] = picture
+            if len(self._kept) > KEPT:
+                _, old = self._kept.popitem(last=False)
+                del self._numbers[old.view]
+        return Shown(self._numbers[picture.view], pair, picture)

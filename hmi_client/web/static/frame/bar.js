@@ -1,0 +1,132 @@
+// The bar: what to do now, why, and at most three buttons with their keys.
+
+import { el, button } from "./dom.js";
+import { state, watch, selected, ageText } from "../link/store.js";
+import { stepNow, kickText } from "./steps.js";
+import { isBad } from "../images/marks.js";
+import { run } from "../link/commands.js";
+import { keyOf } from "./keys.js";
+
+const bar = document.getElementById("bar");
+const touchbar = document.getElementById("touchbar");
+let shown = "";
+
+/** Draws the bar whenever its words change, and only then: it is read aloud. */
+export function startBar() {
+  watch(
+    ["step", "list", "assist", "questions", "link", "tick", "mode", "names", "poses", "health", "welcome"],
+    draw,
+  );
+}
+
+function draw() {
+  const step = stepNow();
+  const [left, right] = step.dots ? kickText() : [step.kick, ""];
+  const kick = step.kick || left;
+  const marks = step.dots ? dots() : [];
+  const words = JSON.stringify([
+    step,
+    kick,
+    right,
+    marks,
+    keyOf("undo"),
+    state.list.undo,
+    state.link.ping_ms && step.legs,
+  ]);
+  if (words === shown) return;
+  shown = words;
+  const focused = document.activeElement?.dataset?.deed;
+  bar.className = `bar ${step.tone}`;
+  bar.replaceChildren(
+    el(
+      "div",
+      "now",
+      el("div", "kick", el("span", "", kick), dotRow(marks), el("span", "", right)),
+      title(step.title),
+    ),
+    facts(step),
+    el("div", "actions", ...step.actions.map(actionButton)),
+  );
+  touchbar.replaceChildren(...step.actions.map(actionButton), ...touchButtons(step));
+  if (focused) document.querySelector(`[data-deed="${CSS.escape(focused)}"]`)?.focus();
+}
+
+/** Robots of the selection are red wherever they are named. */
+function title(text) {
+  const names = selected() ?? [];
+  const heading = el("h1");
+  const parts = names.length ? text.split(new RegExp(`(${names.map(escape).join("|")})(?![\\w-])`)) : [text];
+  heading.append(...parts.map((part, k) => (k % 2 ? el("em", "", part) : part)));
+  return heading;
+}
+
+const escape = (name) => name.replace(/[.*+?^${}()|[\]\\]/g, "\\$&");
+
+function dots() {
+  const { points, half } = state.list;
+  const marks = points.slice(0, 8).map((p) => (isBad(p) ? "bad" : p.status === "half" ? "next" : "on"));
+  return half && !marks.includes("next") ? [...marks, "next"] : marks;
+}
+
+const dotRow = (marks) => (marks.length ? el("span", "dots", ...marks.map((mark) => el("i", mark))) : null);
+
+function facts(step) {
+  const list = el(
+    "dl",
+    "facts",
+    ...step.facts
+      .slice(0, 3)
+      .map(([label, text]) => el("div", "", label ? el("dt", "", label) : null, el("dd", "", kept(sentence(text))))),
+  );
+  if (step.legs)
+    list.append(
+      el("div", "legs-fact", el("dt", "", "Where it is broken"), el("dd", "legs", ...legs(step.legs))),
+    );
+  return list;
+}
+
+/** A first letter is large, except of a robot's name. */
+const sentence = (text) => text.replace(/^[a-z]/, (c) => (/^[a-z]\d/.test(text) ? c : c.toUpperCase()));
+/** A number and its unit stay on one line. */
+const kept = (text) => text.replace(/(\d) (?=(?:%|m|cm|s|px)(?:[ .,;)]|$))/g, "$1\u00a0");
+
+/** page - hmi-client web - pose-server, with the broken leg named. */
+function legs([page, server]) {
+  const { ping_ms } = state.link;
+  const leg = (age, ok) =>
+    age === null ? el("span", "ok", ok) : el("span", "bad", `silent ${ageText(age)}`);
+  return [
+    el("b", "", "this page"),
+    leg(page, ping_ms === null ? "ok" : `${Math.max(1, Math.round(ping_ms))} ms`),
+    el("b", "", "hmi-client web"),
+    server === null ? el("span", "unknown", "not known") : leg(server, ""),
+    el("b", "", "pose-server"),
+  ];
+}
+
+function actionButton(action) {
+  const taken = action.do === "accept" && !state.assist.suggestion; // Tab is the browser's until a suggestion is shown
+  const key = taken ? "Enter" : keyOf(action.do) || action.key;
+  const node = button(`button${action.primary ? " primary" : ""}`, sentence(action.label), key, () =>
+    run(action.do, action.args ?? {}),
+  );
+  node.dataset.deed = action.do;
+  return node;
+}
+
+/** A tablet has no keys: undo, named, and the next question are always there. */
+function touchButtons(step) {
+  const offered = new Set(step.actions.map((action) => action.do));
+  const undo = button("button", "Undo", "", () => run("undo"));
+  undo.disabled = !state.list.undo;
+  if (state.list.undo) undo.setAttribute("aria-label", `Undo: ${state.list.undo}`);
+  const next = button("button", "Next question", "", () => run("next"));
+  return [offered.has("undo") ? null : undo, offered.has("next") ? null : next].filter(Boolean);
+}
+
+/** What Enter does where nothing else takes it. */
+export function primaryAction() {
+  const action = stepNow().actions.find((a) => a.primary);
+  if (action) run(action.do, action.args ?? {});
+  return !!action;
+}

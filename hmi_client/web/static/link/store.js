@@ -1,0 +1,129 @@
+// All that the page knows, and who draws what of it. A change is drawn once per frame.
+
+const NO_LIST = {
+  pair: null,
+  points: [],
+  half: null,
+  frozen: false,
+  kept: 0,
+  confirmed: 0,
+  others: [],
+  undo: null,
+  redo: null,
+  words: "",
+};
+const NO_ASSIST = { side: 0, expected: null, suggestion: null, hints: [], wrong: null };
+export const MARKERS = [
+  "#e69f00",
+  "#56b4e9",
+  "#2fbf93",
+  "#f0e442",
+  "#4a9fe0",
+  "#f2844b",
+  "#d98bb8",
+  "#c9c9c9",
+];
+const MOST_EVENTS = 200;
+
+export const state = {
+  welcome: null,
+  names: [],
+  origin: null,
+  step: null,
+  list: NO_LIST,
+  assist: NO_ASSIST,
+  pair: null,
+  questions: [],
+  events: [],
+  notice: null,
+  why: null,
+  health: null,
+  clock: null,
+  matrix: null,
+  poses: null,
+  clouds: new Map(),
+  images: [null, null],
+  cursors: [null, null],
+  active: 0,
+  current: null,
+  mode: "pick",
+  theme: "dark",
+  panel: "map",
+  marksHidden: false,
+  typed: "",
+  dismissed: "",
+  link: { open: false, refused: "", heardAt: performance.now(), healthAt: performance.now(), ping_ms: null },
+};
+
+const watchers = new Map();
+const reactions = new Map();
+const dirty = new Set();
+let frame = 0;
+
+/** Calls `draw` in the next frame after one of the topics changed. */
+export function watch(topics, draw) {
+  for (const topic of topics) watchers.set(topic, [...(watchers.get(topic) ?? []), draw]);
+}
+
+/** Calls `deed` at once when one of the topics changed, before anything else can happen. */
+export function react(topics, deed) {
+  for (const topic of topics) reactions.set(topic, deed);
+}
+
+/** Says that topics changed. */
+export function changed(...topics) {
+  for (const deed of new Set(topics.map((topic) => reactions.get(topic)))) deed?.();
+  for (const topic of topics) for (const draw of watchers.get(topic) ?? []) dirty.add(draw);
+  if (dirty.size && !frame) frame = requestAnimationFrame(flush);
+}
+
+function flush() {
+  frame = 0;
+  const draws = [...dirty];
+  dirty.clear();
+  for (const draw of draws) draw();
+}
+
+/** Puts a value and says so. */
+export function put(topic, value) {
+  state[topic] = value;
+  changed(topic);
+}
+
+export const clearList = () => ({ list: NO_LIST, assist: NO_ASSIST });
+
+/** A robot's name, be it told by name or by index. */
+export const nameOf = (robot) => (typeof robot === "number" ? (state.names[robot] ?? "") : (robot ?? ""));
+
+/** Names of the selected pair, or null. */
+export const selected = () => (state.list.pair ? state.list.pair.map(nameOf) : null);
+
+export const markerColour = (n) => {
+  const markers = state.welcome?.colours?.markers ?? MARKERS;
+  return markers[(Math.max(1, n) - 1) % markers.length];
+};
+
+/** The newest event first; only so many are held. */
+export function addEvent(event) {
+  state.events.unshift(event);
+  state.events.length = Math.min(state.events.length, MOST_EVENTS);
+  changed("events");
+}
+
+/** What is broken, or null: the leg, since how many seconds. */
+export function broken() {
+  const { link, health } = state;
+  const silent = (performance.now() - link.heardAt) / 1000;
+  if (!link.open || silent > 3) return { leg: "page", age: (health ? health.age_s || 0 : 0) + silent };
+  if (health?.server !== "gone") return null;
+  return { leg: "server", age: (health.age_s ?? 0) + (performance.now() - link.healthAt) / 1000 };
+}
+
+export const ageText = (seconds) =>
+  Number.isFinite(seconds) ? `${Math.max(1, Math.round(seconds))} s` : "a while";
+export const lengthText = (m) => {
+  if (m === null || m === undefined || !Number.isFinite(m)) return "–";
+  if (m >= 10) return `${m.toFixed(0)} m`;
+  if (m >= 1) return `${m.toFixed(1)} m`;
+  return `${(100 * m).toFixed(1)} cm`;
+};

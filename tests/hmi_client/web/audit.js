@@ -1,0 +1,42 @@
+(what, limit) => {
+  // What is wrong with the page as it is drawn: [] if nothing.
+  const shown = (node) => node.checkVisibility({ opacityProperty: true, visibilityProperty: true }) && node.getClientRects().length > 0;
+  const texts = [...document.body.querySelectorAll("*")].filter((node) => shown(node) && [...node.childNodes].some((c) => c.nodeType === 3 && c.textContent.trim()));
+  const probe = Object.assign(document.createElement("canvas"), { width: 1, height: 1 }).getContext("2d", { willReadFrequently: true });
+  const read = new Map();
+  const channels = (css) => {
+    if (!read.has(css)) {
+      probe.clearRect(0, 0, 1, 1);
+      probe.fillStyle = css;
+      probe.fillRect(0, 0, 1, 1);
+      read.set(css, [...probe.getImageData(0, 0, 1, 1).data]);
+    }
+    return read.get(css);
+  };
+  const over = (top, below) => below.map((v, k) => (k < 3 ? (top[k] * top[3] + v * (255 - top[3])) / 255 : 255));
+  const background = (node) => {
+    const layers = [];
+    for (let n = node; n; n = n.parentElement) layers.push(channels(getComputedStyle(n).backgroundColor));
+    return layers.reverse().reduce((below, top) => over(top, below), [255, 255, 255, 255]);
+  };
+  const light = (rgb) => rgb.slice(0, 3).map((v) => v / 255).map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)).reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
+  const name = (node) => `${node.tagName.toLowerCase()}.${node.className} "${node.textContent.trim().slice(0, 40)}"`;
+  if (what === "contrast") {
+    return texts.filter((node) => !node.classList.contains("self")).flatMap((node) => {
+      const back = background(node), a = light(over(channels(getComputedStyle(node).color), back)), b = light(back);
+      const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+      return ratio < limit ? [`${ratio.toFixed(2)} ${name(node)}`] : [];
+    });
+  }
+  if (what === "cut") {
+    return texts.filter((node) => node.scrollWidth > node.clientWidth + 1 && node.clientWidth > 0 && getComputedStyle(node).overflowX !== "visible" && getComputedStyle(node).overflowX !== "auto").map(name);
+  }
+  if (what === "scroll bars") {
+    return [document.scrollingElement, document.body].filter((node) => node.scrollHeight > innerHeight || node.scrollWidth > innerWidth).map(name);
+  }
+  return [...document.querySelectorAll("button, [role=gridcell], select, input")].filter(shown).flatMap((node) => {
+    const { width, height } = node.getBoundingClientRect();
+    const cell = node.getAttribute("role") === "gridcell"; // a matrix of eight is as wide as its panel
+    return height < limit - 0.5 || (width < limit - 0.5 && !cell) ? [`${width.toFixed(0)}x${height.toFixed(0)} ${name(node)}`] : [];
+  });
+}
