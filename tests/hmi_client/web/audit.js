@@ -2,11 +2,16 @@
   // What is wrong with the page as it is drawn: [] if nothing.
   const shown = (node) => node.checkVisibility({ opacityProperty: true, visibilityProperty: true }) && node.getClientRects().length > 0;
   const texts = [...document.body.querySelectorAll("*")].filter((node) => shown(node) && [...node.childNodes].some((c) => c.nodeType === 3 && c.textContent.trim()));
+  const probe = Object.assign(document.createElement("canvas"), { width: 1, height: 1 }).getContext("2d", { willReadFrequently: true });
+  const read = new Map();
   const channels = (css) => {
-    const probe = Object.assign(document.createElement("canvas"), { width: 1, height: 1 }).getContext("2d");
-    probe.fillStyle = css;
-    probe.fillRect(0, 0, 1, 1);
-    return [...probe.getImageData(0, 0, 1, 1).data];
+    if (!read.has(css)) {
+      probe.clearRect(0, 0, 1, 1);
+      probe.fillStyle = css;
+      probe.fillRect(0, 0, 1, 1);
+      read.set(css, [...probe.getImageData(0, 0, 1, 1).data]);
+    }
+    return read.get(css);
   };
   const over = (top, below) => below.map((v, k) => (k < 3 ? (top[k] * top[3] + v * (255 - top[3])) / 255 : 255));
   const background = (node) => {

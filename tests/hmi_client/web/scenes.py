@@ -1,5 +1,6 @@
 """What a bridge says in each state of the operator's page: frames by the page's contract."""
 
+import functools
 import math
 import struct
 from typing import Any
@@ -13,33 +14,39 @@ MARK = (699.5, 299.5)  # the middle of the white block of each image, in its pix
 STATES = {"unknown": 0, "known": 1, "tried": 2}
 VERDICTS = ("", "verified", "plausible", "ambiguous", "rejected")
 KEYMAP = [
-    *(("everywhere", *line) for line in (
-        ("help", "?", "Help", "all keys and signs"),
-        ("next", "n", "Next", "the next question, the most useful one first"),
-        ("previous", "p", "Prev", "the question before"),
-        ("undo", "u", "Undo", "take the last step back"),
-        ("redo", "r", "Redo", "do again what was taken back"),
-        ("erase", "x", "Erase", "erase the point near the cursor, or that of the list"),
-        ("cancel", "c escape", "Cancel", "drop half a pick, leave suggestions"),
-        ("maximise", "m", "Max", "the images only, or all panels"),
-        ("overview", "o", "Overview", "all pairs at once, in colours"),
-        ("events", "l", "Events", "what happened, the newest first"),
-        ("hide-more", "[", "Hide", "more errors become a hyphen"),
-        ("show-more", "]", "Show", "fewer errors become a hyphen"),
-    )),
-    *(("images", *line) for line in (
-        ("pick", "space enter", "Pick", "pick the point under the cursor"),
-        ("go", "g", "Go to", "labels on places worth a pick"),
-        ("snap", "s", "Snap", "to the nearest corner, or point with depth"),
-        ("accept", "tab", "Suggested", "show a suggestion; accept it"),
-        ("skip", "shift+tab", "Skip", "skip the suggestion"),
-        ("move", "v", "Move", "the nearest point moves to the cursor"),
-        ("zoom-in", "+ =", "Zoom", "nearer"),
-        ("fit", "0", "Fit", "all of it"),
-    )),
+    *(
+        ("everywhere", *line)
+        for line in (
+            ("help", "?", "Help", "all keys and signs"),
+            ("next", "n", "Next", "the next question, the most useful one first"),
+            ("previous", "p", "Prev", "the question before"),
+            ("undo", "u", "Undo", "take the last step back"),
+            ("redo", "r", "Redo", "do again what was taken back"),
+            ("erase", "x", "Erase", "erase the point near the cursor, or that of the list"),
+            ("cancel", "c escape", "Cancel", "drop half a pick, leave suggestions"),
+            ("maximise", "m", "Max", "the images only, or all panels"),
+            ("overview", "o", "Overview", "all pairs at once, in colours"),
+            ("events", "l", "Events", "what happened, the newest first"),
+            ("hide-more", "[", "Hide", "more errors become a hyphen"),
+            ("show-more", "]", "Show", "fewer errors become a hyphen"),
+        )
+    ),
+    *(
+        ("images", *line)
+        for line in (
+            ("pick", "space enter", "Pick", "pick the point under the cursor"),
+            ("go", "g", "Go to", "labels on places worth a pick"),
+            ("snap", "s", "Snap", "to the nearest corner, or point with depth"),
+            ("accept", "tab", "Suggested", "show a suggestion; accept it"),
+            ("skip", "shift+tab", "Skip", "skip the suggestion"),
+            ("move", "v", "Move", "the nearest point moves to the cursor"),
+            ("zoom-in", "+ =", "Zoom", "nearer"),
+            ("fit", "0", "Fit", "all of it"),
+        )
+    ),
     ("matrix", "select", "enter", "Select", "look at the pair under the cursor"),
     ("list", "show", "enter", "Show", "the images that a point was clicked in"),
-]  # fmt: skip
+]
 
 
 def names(n: int) -> list[str]:
@@ -58,16 +65,36 @@ def welcome(settings: dict[str, Any] | None = None) -> Frame:
         }
         for place, id, keys, label, does in KEYMAP
     ]
-    return {"t": "welcome", "v": 1, "operator": "kim", "site": "demo", "version": "0", "replay": False,
-            "keymap": keys, "colours": {}, "settings": settings or {}}  # fmt: skip
+    return {
+        "t": "welcome",
+        "v": 1,
+        "operator": "kim",
+        "site": "demo",
+        "version": "0",
+        "replay": False,
+        "keymap": keys,
+        "colours": {},
+        "settings": settings or {},
+    }
 
 
 def health(**changed: Any) -> Frame:
-    told = {"t": "health", "server": "ok", "age_s": 0.2, "kept": 0, "leg": "", "address": "10.0.0.1",
-            "located": 7, "robots": 8, "confirmed": 12, "unconfirmed": 0}  # fmt: skip
+    told = {
+        "t": "health",
+        "server": "ok",
+        "age_s": 0.2,
+        "kept": 0,
+        "leg": "",
+        "address": "10.0.0.1",
+        "located": 7,
+        "robots": 8,
+        "confirmed": 12,
+        "unconfirmed": 0,
+    }
     return told | changed
 
 
+@functools.cache
 def image(side: int, view: int) -> bytes:
     """A scene of tiles with a white block on a grey field around `MARK`."""
     rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH]
@@ -116,6 +143,7 @@ def poses(n: int, lost: tuple[int, ...] = ()) -> bytes:
     return struct.pack("<BBHI", 3, 0, n, 0) + rows.tobytes()
 
 
+@functools.cache
 def cloud(k: int, n: int) -> bytes:
     """3000 points of a wall 14 m ahead, in the robot's frame."""
     x, y, heading = places(n)[k]
@@ -133,9 +161,19 @@ def cloud(k: int, n: int) -> bytes:
 
 
 def point(n: int, pi: tuple, pj: tuple | None, status: str = "confirmed", **more: Any) -> dict:
-    told = {"n": n, "id": n, "status": status, "reason": None, "pi": pi, "pj": pj, "by": "kim",
-            "residual_m": 0.02 + 0.02 * n if status == "confirmed" else None,
-            "depth_i": 14.5, "depth_j": 14.6, "other_view": False}  # fmt: skip
+    told = {
+        "n": n,
+        "id": n,
+        "status": status,
+        "reason": None,
+        "pi": pi,
+        "pj": pj,
+        "by": "kim",
+        "residual_m": 0.02 + 0.02 * n if status == "confirmed" else None,
+        "depth_i": 14.5,
+        "depth_j": 14.6,
+        "other_view": False,
+    }
     return told | more
 
 
@@ -150,7 +188,7 @@ def step(tone: str, title: str, facts: list[str], *actions: dict) -> Frame:
 P1, P2 = ((648.8, 134.1), (205.7, 134.2)), ((571.0, 397.0), (204.0, 396.5))
 P3, P4 = ((893.5, 506.0), (450.5, 504.5)), ((923.3, 244.8), (533.3, 177.5))
 FACTS = [
-    "Why it is asked: nothing joins r8 to the fleet yet; the chance that the images overlap is 71 %",
+    "Why it is asked: nothing joins r8 to the fleet yet; the chance of an overlap is 71 %",
     "What it would gain: r8 is located, and the fleet is known about 0.42 m better",
     "How sure it is now: ambiguous, two poses fit about equally well",
 ]
@@ -158,9 +196,19 @@ FITS = [point(1, *P1), point(2, *P2)]
 
 
 def listing(pair: tuple[int, int] | None, points: list[dict], **more: Any) -> Frame:
-    told = {"t": "list", "pair": pair, "points": points, "half": None, "frozen": True, "kept": 0,
-            "confirmed": 12, "others": ["ana"], "undo": None, "redo": None,
-            "words": "34 matches speak for one pose, 31 for the other"}  # fmt: skip
+    told = {
+        "t": "list",
+        "pair": pair,
+        "points": points,
+        "half": None,
+        "frozen": True,
+        "kept": 0,
+        "confirmed": 12,
+        "others": ["ana"],
+        "undo": None,
+        "redo": None,
+        "words": "34 matches speak for one pose, 31 for the other",
+    }
     return told | more
 
 
@@ -180,12 +228,25 @@ def fleet(
     n: int = 8, chosen: tuple[int, int] | None = (2, 7), lost: tuple[int, ...] = (7,)
 ) -> list[Frame]:
     """Everything but step, list, assistance and images."""
-    asked = [{"i": f"r{i + 1}", "j": f"r{j + 1}", "gain": gain, "why": why} for i, j, gain, why in (
-        (*(chosen or (5, 6)), 0.42, "joins robots to the fleet"), (1, 5, 0.041, "seem to fit, but nothing confirms it"),
-        (5, 6, 0.038, "r7 is known to 0.62 m"))]  # fmt: skip
+    asked = [
+        {"i": f"r{i + 1}", "j": f"r{j + 1}", "gain": gain, "why": why}
+        for i, j, gain, why in (
+            (*(chosen or (5, 6)), 0.42, "joins robots to the fleet"),
+            (1, 5, 0.041, "seem to fit, but nothing confirms it"),
+            (5, 6, 0.038, "r7 is known to 0.62 m"),
+        )
+    ]
     pair = chosen or (0, 1)
-    told = {"t": "pair", "i": pair[0], "j": pair[1], "verdict": "ambiguous", "sigma_cm": None,
-            "sentence": "Two poses fit about equally well", "overlap": 0.26, "joined": False}  # fmt: skip
+    told = {
+        "t": "pair",
+        "i": pair[0],
+        "j": pair[1],
+        "verdict": "ambiguous",
+        "sigma_cm": None,
+        "sentence": "Two poses fit about equally well",
+        "overlap": 0.26,
+        "joined": False,
+    }
     events = [
         "server started with 2 workers",
         "r5 joined: 6 of 7 robots are located",
@@ -193,10 +254,18 @@ def fleet(
     ]
     clouds = [cloud(k, n) for k in range(n) if k not in lost] if n <= 24 else []
     return [
-        {"t": "names", "names": names(n), "origin": names(n)[0 if n > 24 else 3]}, matrix(n, chosen), poses(n, lost), *clouds,
-        {"t": "questions", "list": asked}, *([told] if chosen else []), health(located=n - len(lost), robots=n),
-        *({"t": "event", "at_ms": 1_790_000_000_000 + 9000 * k, "text": text, "tone": ""} for k, text in enumerate(events)),
-    ]  # fmt: skip
+        {"t": "names", "names": names(n), "origin": names(n)[0 if n > 24 else 3]},
+        matrix(n, chosen),
+        poses(n, lost),
+        *clouds,
+        {"t": "questions", "list": asked},
+        *([told] if chosen else []),
+        health(located=n - len(lost), robots=n),
+        *(
+            {"t": "event", "at_ms": 1_790_000_000_000 + 9000 * k, "text": text, "tone": ""}
+            for k, text in enumerate(events)
+        ),
+    ]
 
 
 def half(n: int = 8, pair: tuple[int, int] = (2, 7), lost: tuple[int, ...] = (7,)) -> list[Frame]:
@@ -204,21 +273,39 @@ def half(n: int = 8, pair: tuple[int, int] = (2, 7), lost: tuple[int, ...] = (7,
     points = [*FITS, point(3, P3[0], None, "half", id=None)]
     guess = {"pixel": [446.6, 503.1], "line": [[330, 502], [560, 505]], "how": "from two points"}
     return [
-        *fleet(n, pair, lost), listing(pair, points, half={"side": 0, "pixel": P3[0]}, undo="point 3"),
-        step("act", f"Point picked in {done}: now pick the same point in {other}", FACTS, act("pick", "Pick here", "Space", True),
-             act("snap", "Snap", "S"), act("cancel", "Cancel", "C")),
-        image(0, 41), image(1, 38), assist(expected=guess),
-    ]  # fmt: skip
+        *fleet(n, pair, lost),
+        listing(pair, points, half={"side": 0, "pixel": P3[0]}, undo="point 3"),
+        step(
+            "act",
+            f"Point picked in {done}: now pick the same point in {other}",
+            FACTS,
+            act("pick", "Pick here", "Space", True),
+            act("snap", "Snap", "S"),
+            act("cancel", "Cancel", "C"),
+        ),
+        image(0, 41),
+        image(1, 38),
+        assist(expected=guess),
+    ]
 
 
 def suggestion() -> list[Frame]:
     told = {"n": 2, "of": 8, "pi": P4[0], "pj": P4[1], "depth_i": 14.5, "depth_j": 14.6}
     return [
-        *fleet(), listing((2, 7), [*FITS, point(3, *P3)]), image(0, 41), image(1, 38),
-        step("ask", "Do both crosses show the same point?", ["What this is: the server found these two by their looks"],
-             act("accept", "Yes, the same", "Tab", True), act("skip", "No, next", "⇧Tab"), act("cancel", "Leave", "C")),
+        *fleet(),
+        listing((2, 7), [*FITS, point(3, *P3)]),
+        image(0, 41),
+        image(1, 38),
+        step(
+            "ask",
+            "Do both crosses show the same point?",
+            ["What this is: the server found these two by their looks"],
+            act("accept", "Yes, the same", "Tab", True),
+            act("skip", "No, next", "⇧Tab"),
+            act("cancel", "Leave", "C"),
+        ),
         assist(suggestion=told),
-    ]  # fmt: skip
+    ]
 
 
 def wrong() -> list[Frame]:
@@ -233,19 +320,32 @@ def wrong() -> list[Frame]:
         "text": "3.5 m off",
     }
     return [
-        *fleet(), listing((2, 7), [point(1, *P1), bad, point(3, *P3)], undo="point 3 in r3 and r8"), image(0, 41), image(1, 38),
-        step("warn", "Point 2 does not fit the others: 3.5 m off", ["What to do: if the ◇ shows the same thing as r3, move it there; else erase it"],
-             act("move", "Move it to the ◇", "V", True, id=2, side=1, pixel=[203.2, 397.0]), act("erase", "Erase it", "X", id=2)),
+        *fleet(),
+        listing((2, 7), [point(1, *P1), bad, point(3, *P3)], undo="point 3 in r3 and r8"),
+        image(0, 41),
+        image(1, 38),
+        step(
+            "warn",
+            "Point 2 does not fit the others: 3.5 m off",
+            ["What to do: if the ◇ shows the same as r3, move it there; else erase it"],
+            act("move", "Move it to the ◇", "V", True, id=2, side=1, pixel=[203.2, 397.0]),
+            act("erase", "Erase it", "X", id=2),
+        ),
         assist(wrong=told),
-    ]  # fmt: skip
+    ]
 
 
 def gone() -> list[Frame]:
     kept = [point(1, *P1), point(2, *P2, "pending"), point(3, *P3, "pending")]
     return [
-        *fleet(), listing((2, 7), kept, kept=2), image(0, 41), image(1, 38), step("gone", "NO SERVER", []), assist(),
+        *fleet(),
+        listing((2, 7), kept, kept=2),
+        image(0, 41),
+        image(1, 38),
+        step("gone", "NO SERVER", []),
+        assist(),
         health(server="gone", age_s=14, kept=2, unconfirmed=2, leg="server"),
-    ]  # fmt: skip
+    ]
 
 
 def idle() -> list[Frame]:

@@ -21,18 +21,25 @@ CHROMIUM = shutil.which("chromium")
 if CHROMIUM is None:
     pytest.skip("there is no chromium: apt-get install chromium", allow_module_level=True)
 
-import scenes
-from fake_bridge import FakeBridge
-from scenes import MARK
+import scenes  # noqa: E402 (needs what may be missing)
+from fake_bridge import FakeBridge  # noqa: E402
+from scenes import MARK  # noqa: E402
 
 DESK, TABLET = (1600, 1000), (1024, 768)
 STATES = {
-    "half": scenes.half, "suggestion": scenes.suggestion, "wrong": scenes.wrong, "gone": scenes.gone,
-    "idle": scenes.idle, "without-image": scenes.without_image, "many": scenes.many,
-}  # fmt: skip
+    "half": scenes.half,
+    "suggestion": scenes.suggestion,
+    "wrong": scenes.wrong,
+    "gone": scenes.gone,
+    "idle": scenes.idle,
+    "without-image": scenes.without_image,
+    "many": scenes.many,
+}
 AUDIT = (Path(__file__).parent / "audit.js").read_text()
 SETTLED = """document.fonts.ready.then(() => new Promise((done) =>
     requestAnimationFrame(() => requestAnimationFrame(() => requestAnimationFrame(done)))))"""
+FOCUSED = """document.activeElement.closest('section,header')?.id
+    || document.activeElement.closest('[data-panel]')?.dataset.panel"""
 LEFT, RIGHT = "[data-panel=left]", "[data-panel=right]"
 
 
@@ -55,7 +62,7 @@ def browser() -> Iterator:
 
 @pytest.fixture
 def opened(bridge, browser):
-    """Opens the page in a state; afterwards no console error and no foreign request may have been."""
+    """Opens the page in a state; no console error and no foreign request may come of it."""
     fake, url = bridge
     contexts, errors, foreign = [], [], []
 
@@ -116,7 +123,7 @@ FREE.insert(0, scenes.listing((2, 7), []))
 """A pair with images and nothing clicked."""
 
 
-# ---- each state says what to do -------------------------------------------------------------------
+# ---- each state says what to do ------------------------------------------------------------------
 
 
 def test_after_the_first_click_the_other_image_shows_where_the_point_is_expected(opened, bridge):
@@ -162,7 +169,7 @@ def test_tab_leaves_every_panel(opened):
     seen = set()
     for _ in range(30):
         page.keyboard.press("Tab")
-        seen.add(page.evaluate("document.activeElement.closest('section,header')?.id || document.activeElement.closest('[data-panel]')?.dataset.panel"))  # fmt: skip
+        seen.add(page.evaluate(FOCUSED))
     assert {"bar", "map", "matrix", "pair", "left", "right"} <= seen
 
 
@@ -200,9 +207,21 @@ def test_without_a_server_all_is_greyed_and_stamped_and_the_broken_leg_is_named(
 def test_a_silent_bridge_is_said_within_four_seconds_and_the_page_comes_back(opened, bridge):
     page = opened(scenes.half())
     bridge[0].silent = True
-    _until(page, lambda: page.evaluate("document.querySelector('#bar h1')?.textContent.startsWith('No connection')"), 4500)  # fmt: skip
+    _until(
+        page,
+        lambda: page.evaluate(
+            "document.querySelector('#bar h1')?.textContent.startsWith('No connection')"
+        ),
+        4500,
+    )
     bridge[0].silent = False
-    _until(page, lambda: page.evaluate("document.querySelector('#link span').textContent.startsWith('Live')"), 2000)  # fmt: skip
+    _until(
+        page,
+        lambda: page.evaluate(
+            "document.querySelector('#link span').textContent.startsWith('Live')"
+        ),
+        2000,
+    )
 
 
 def test_half_a_pick_is_dropped_with_its_connection(opened, bridge):
@@ -224,7 +243,13 @@ def test_a_wrong_token_is_told_and_not_tried_again(opened, bridge):
     page = opened([], settled=False)
     bridge[0].refuse = True
     bridge[0].drop()
-    _until(page, lambda: page.evaluate("document.querySelector('#bar h1')?.textContent.startsWith('The token is not right')"), 2000)  # fmt: skip
+    _until(
+        page,
+        lambda: page.evaluate(
+            "document.querySelector('#bar h1')?.textContent.startsWith('The token is not right')"
+        ),
+        2000,
+    )
     bridge[0].refuse = False
 
 
@@ -247,11 +272,12 @@ def test_when_nothing_is_asked_the_points_take_the_images_place(opened):
 def test_200_000_points_are_drawn_within_50_ms_without_a_gpu(opened, bridge):
     page = opened([*scenes.idle(), *(scenes.cloud(k, 72) for k in range(8, 72))])
     took = page.evaluate("""async () => {
-      const { Raster, cameraOf } = await import('/static/raster.js');
+      const { Raster, cameraOf } = await import('/static/fleet/raster.js');
       const points = Float32Array.from({ length: 600000 }, (_, k) => Math.sin(k * 12.9898) * 10);
       const colours = new Uint8Array(600000), raster = new Raster();
       raster.resize(document.createElement('canvas').getContext('2d'), 820, 780);
-      const camera = cameraOf({ azimuth: 1, elevation: 0.5, distance: 30, target: [0, 0, 0] }, 820, 780);
+      const camera = cameraOf({ azimuth: 1, elevation: 0.5, distance: 30, target: [0, 0, 0] },
+        820, 780);
       raster.cloud(true, camera, points, colours);
       const from = performance.now();
       for (let k = 0; k < 5; k++) { raster.clear(0); raster.cloud(true, camera, points, colours); }
@@ -317,7 +343,7 @@ def test_help_shows_the_keys_of_hmi_client(opened):
     assert not page.is_visible("#help")
 
 
-# ---- picking is exact ------------------------------------------------------------------------------
+# ---- picking is exact ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.25, 2.0])
@@ -340,9 +366,13 @@ def test_a_click_means_the_pixel_under_it(opened, bridge, ratio):
     assert worst_fine <= 0.1
 
 
-def half_of(part: np.ndarray) -> np.ndarray:
-    """The middle of a picture: column, row."""
-    return np.array(part.shape[::-1]) / 2
+def brightest(part: np.ndarray, reach: float) -> np.ndarray:
+    """The middle of what is bright around the brightest place, off its dark field: column, row."""
+    columns, rows = np.meshgrid(*(np.arange(n) + 0.5 for n in part.shape[::-1]))
+    row, column = np.median(np.argwhere(part > 235), axis=0)  # most of what is white
+    near = np.hypot(columns - column, rows - row) < reach
+    weight = np.where(near, np.clip(part.astype(float) - 60, 0, None), 0)
+    return np.array(((weight * columns).sum(), (weight * rows).sum())) / weight.sum()
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.25, 2.0])
@@ -358,16 +388,11 @@ def test_what_is_drawn_under_the_cross_is_the_pixel_that_is_picked(opened, bridg
         box = page.locator(f"{LEFT} canvas.{canvas}").bounding_box()
         scale = 8.0 if canvas == "loupe" else min(box["width"] / 960, box["height"] / 640)
         seen = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert seen is not None
         top, left = int(box["y"] * ratio), int(box["x"] * ratio)
         part = seen[top : top + int(box["height"] * ratio), left : left + int(box["width"] * ratio)]
-        near = (
-            np.hypot(*np.subtract(np.indices(part.shape)[::-1], half_of(part)[:, None, None]))
-            < 90 * ratio
-        )
-        rows, columns = np.nonzero(
-            (part > 235) & (near | (canvas == "photo"))
-        )  # captions are white too
-        spot = np.array((columns.mean() + 0.5 + left, rows.mean() + 0.5 + top)) / ratio
+        spot = brightest(part, (60 if canvas == "loupe" else 28) * ratio)
+        spot = np.add(spot, (left, top)) / ratio
         middle = np.array((box["x"] + box["width"] / 2, box["y"] + box["height"] / 2))
         off = 8.0 * np.subtract(MARK, cursor)
         expected = middle + off if canvas == "loupe" else np.array(at)
@@ -385,7 +410,13 @@ def test_a_finger_moves_the_picture_under_the_cross(opened, bridge, ratio):
     assert np.hypot(*np.subtract(cursor, target)) <= 0.71
     touch = page.context.new_cdp_session(page)
     x, y = place(page, LEFT, "loupe", (0, 0), (0, 0))
-    for kind, points in (("touchStart", [(x, y)]), ("touchMove", [(x - 20, y)]), ("touchMove", [(x - 20, y + 33)]), ("touchMove", [(x - 20, y + 33)]), ("touchEnd", [])):  # fmt: skip
+    for kind, points in (
+        ("touchStart", [(x, y)]),
+        ("touchMove", [(x - 20, y)]),
+        ("touchMove", [(x - 20, y + 33)]),
+        ("touchMove", [(x - 20, y + 33)]),
+        ("touchEnd", []),
+    ):
         page.wait_for_timeout(40)  # a finger that rests before it leaves flings nothing
         told = [{"x": a, "y": b} for a, b in points]
         touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": told})
@@ -429,12 +460,15 @@ def test_a_finger_hits_a_mark_from_farther_off_than_a_mouse(opened, bridge):
         assert bridge[0].wait_for("erase").get("id") == (1 if touch else None)
 
 
-# ---- the list --------------------------------------------------------------------------------------
+# ---- the list ------------------------------------------------------------------------------------
 
 
 def test_of_1000_points_only_visible_rows_exist_and_a_row_brings_the_crosses(opened, bridge):
     points = [scenes.point(n, (n % 900, n % 600), (n % 800, n % 500)) for n in range(1, 1001)]
-    scene = [f if not isinstance(f, dict) or f["t"] != "list" else scenes.listing((2, 7), points) for f in scenes.half()]  # fmt: skip
+    scene = [
+        f if not isinstance(f, dict) or f["t"] != "list" else scenes.listing((2, 7), points)
+        for f in scenes.half()
+    ]
     page = opened([f for f in scene if not isinstance(f, dict) or f["t"] != "assist"])
     assert page.locator("#pair .row").count() < 40
     page.click("#pair .sort")
@@ -445,7 +479,7 @@ def test_of_1000_points_only_visible_rows_exist_and_a_row_brings_the_crosses(ope
     assert page.locator("#pair .row .pill").first.inner_text() == "1000"
 
 
-# ---- everybody can read and reach it ----------------------------------------------------------------
+# ---- everybody can read and reach it -------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", STATES)
@@ -486,7 +520,12 @@ def test_a_tablet_has_targets_of_44_pixels_in_every_tab(opened):
 
 def test_names_are_only_text(opened):
     evil = "<img src=x onerror=alert(1)>"
-    page = opened([f | {"title": evil} if isinstance(f, dict) and f["t"] == "step" else f for f in scenes.half()])  # fmt: skip
+    page = opened(
+        [
+            f | {"title": evil} if isinstance(f, dict) and f["t"] == "step" else f
+            for f in scenes.half()
+        ]
+    )
     assert page.inner_text("#bar h1") == evil
     assert page.locator("#bar img").count() == 0
 
@@ -497,7 +536,12 @@ def test_images_are_acknowledged_one_by_one_and_only_what_is_seen_is_wanted(open
         bridge[0].say(scenes.image(0, view))
     _until(page, lambda: any(m["do"] == "ack" and m["view"] == 129 for m in bridge[0].heard))
     assert page.inner_text(f"{LEFT} h2 .wide").startswith("view 129")
-    assert bridge[0].wait_for("want") == {"do": "want", "images": True, "clouds": True, "matrix": True}  # fmt: skip
+    assert bridge[0].wait_for("want") == {
+        "do": "want",
+        "images": True,
+        "clouds": True,
+        "matrix": True,
+    }
     page.keyboard.press("m")
     _until(page, lambda: bridge[0].wait_for("want")["clouds"] is False)
     page.keyboard.press("m")

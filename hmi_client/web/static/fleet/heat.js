@@ -1,7 +1,7 @@
 // The matrix of many robots as one picture: dark blue is little, light blue much, brown hidden or
 // rejected. Squares are written as pixels, which takes a tenth of the time that rectangles take.
 
-import { el, colour, Surface } from "./dom.js";
+import { el, colour, Surface } from "../frame/dom.js";
 
 const EDGE = 31; // CSS pixels for names at the left and the top
 
@@ -15,10 +15,19 @@ export class HeatMap {
     this.element.setAttribute("role", "img");
     this.surface = new Surface(canvas, (ctx, w, h) => this.paint(ctx, w, h));
     const at = (e) => this.cellAt(this.surface.at(e));
-    canvas.addEventListener("pointerup", (e) => { const cell = at(e); if (cell && cell[0] !== cell[1]) choose(...cell); });
+    canvas.addEventListener("pointerup", (e) => {
+      const cell = at(e);
+      if (cell && cell[0] !== cell[1]) choose(...cell);
+    });
     canvas.addEventListener("pointermove", (e) => hover(at(e)));
     canvas.addEventListener("pointerleave", () => hover(null));
-    this.element.addEventListener("keydown", (e) => { if (e.key === "Enter" && this.told) { choose(...this.told.cursor); e.preventDefault(); e.stopPropagation(); } });
+    this.element.addEventListener("keydown", (e) => {
+      if (e.key === "Enter" && this.told) {
+        choose(...this.told.cursor);
+        e.preventDefault();
+        e.stopPropagation();
+      }
+    });
   }
 
   draw(matrix, names, chosen, cursor) {
@@ -36,7 +45,8 @@ export class HeatMap {
 
   cellAt([x, y]) {
     if (!this.told) return null;
-    const { css } = this.size(this.surface.width, this.surface.height), n = this.told.names.length;
+    const { css } = this.size(this.surface.width, this.surface.height),
+      n = this.told.names.length;
     const cell = [Math.floor((y - EDGE) / css), Math.floor((x - EDGE) / css)];
     return cell.every((k) => k >= 0 && k < n) ? cell : null;
   }
@@ -44,13 +54,18 @@ export class HeatMap {
   paint(ctx, width, height) {
     if (!this.told || width < EDGE + 20) return;
     const { cell, css, ratio } = this.size(width, height);
-    ctx.putImageData(squares(ctx, this.told.matrix, cell), Math.round(EDGE * ratio), Math.round(EDGE * ratio));
+    ctx.putImageData(
+      squares(ctx, this.told.matrix, cell),
+      Math.round(EDGE * ratio),
+      Math.round(EDGE * ratio),
+    );
     this.mark(ctx, css);
     this.names(ctx, css);
   }
 
   mark(ctx, css) {
-    const { names, chosen, cursor } = this.told, size = names.length * css;
+    const { names, chosen, cursor } = this.told,
+      size = names.length * css;
     ctx.lineWidth = 1;
     ctx.strokeStyle = colour("focus");
     ctx.strokeRect(EDGE + cursor[1] * css - 1, EDGE + cursor[0] * css - 1, css + 1, css + 1);
@@ -74,12 +89,15 @@ export class HeatMap {
     const { names, chosen } = this.told;
     ctx.font = "500 11px Inter, sans-serif";
     ctx.textBaseline = "middle";
-    const every = Math.max(1, Math.ceil(30 / css)), far = (k) => !chosen || chosen.every((c) => Math.abs(c - k) * css >= 30);
+    const every = Math.max(1, Math.ceil(30 / css)),
+      far = (k) => !chosen || chosen.every((c) => Math.abs(c - k) * css >= 30);
     names.forEach((name, k) => {
       const own = chosen?.includes(k);
       if (!own && (k % every || !far(k))) return;
       ctx.fillStyle = own ? colour("red-text") : colour("dim");
-      const place = EDGE + (k + 0.5) * css, nudge = own && Math.abs(chosen[0] - chosen[1]) * css < 26 ? (k === Math.min(...chosen) ? -12 : 12) : 0;
+      const place = EDGE + (k + 0.5) * css,
+        nudge =
+          own && Math.abs(chosen[0] - chosen[1]) * css < 26 ? (k === Math.min(...chosen) ? -12 : 12) : 0;
       ctx.textAlign = "center";
       ctx.fillText(short(name), place + nudge, EDGE - 10);
       ctx.textAlign = "right";
@@ -97,16 +115,22 @@ function rgb(hex) {
 
 /** All cells as squares with a gap, in one picture. */
 function squares(ctx, matrix, cell) {
-  const n = matrix.n, side = n * cell, inner = cell > 3 ? cell - 1 : cell;
-  const picture = ctx.createImageData(side, side), words = new Uint32Array(picture.data.buffer);
+  const n = matrix.n,
+    side = n * cell,
+    inner = cell > 3 ? cell - 1 : cell;
+  const picture = ctx.createImageData(side, side),
+    words = new Uint32Array(picture.data.buffer);
   words.fill(rgb(colour("heat-gap")));
   const tones = palette(matrix);
-  for (let a = 0; a < n; a++) for (let b = 0; b < n; b++) {
-    const place = a === b ? -1 : matrix.place(a, b);
-    const paint = a === b ? tones.self : tones.of(matrix.values[place], matrix.states[place]);
-    for (let y = 0; y < inner; y++) words.fill(paint, (a * cell + y) * side + b * cell, (a * cell + y) * side + b * cell + inner);
-    if (place >= 0 && matrix.states[place] & 96 && inner > 4) frame(words, side, a * cell, b * cell, inner, tones.mark);
-  }
+  for (let a = 0; a < n; a++)
+    for (let b = 0; b < n; b++) {
+      const place = a === b ? -1 : matrix.place(a, b);
+      const paint = a === b ? tones.self : tones.of(matrix.values[place], matrix.states[place]);
+      for (let y = 0; y < inner; y++)
+        words.fill(paint, (a * cell + y) * side + b * cell, (a * cell + y) * side + b * cell + inner);
+      if (place >= 0 && matrix.states[place] & 96 && inner > 4)
+        frame(words, side, a * cell, b * cell, inner, tones.mark);
+    }
   return picture;
 }
 
@@ -120,9 +144,15 @@ function frame(words, side, y, x, inner, paint) {
 function palette({ values, states }) {
   let most = 1e-9;
   for (let k = 0; k < values.length; k++) if (!(states[k] & 128) && values[k] > most) most = values[k];
-  const unknown = rgb(colour("heat-none")), known = rgb(colour("heat-known")), hidden = rgb(colour("heat-hidden"));
-  const from = [40, 84, 116], to = [196, 230, 250];
-  const blues = Array.from({ length: 64 }, (_, k) => { const [r, g, b] = from.map((v, c) => Math.round(v + ((to[c] - v) * k) / 63)); return (255 << 24) | (b << 16) | (g << 8) | r; });
+  const unknown = rgb(colour("heat-none")),
+    known = rgb(colour("heat-known")),
+    hidden = rgb(colour("heat-hidden"));
+  const from = [40, 84, 116],
+    to = [196, 230, 250];
+  const blues = Array.from({ length: 64 }, (_, k) => {
+    const [r, g, b] = from.map((v, c) => Math.round(v + ((to[c] - v) * k) / 63));
+    return (255 << 24) | (b << 16) | (g << 8) | r;
+  });
   const of = (value, bits) => {
     if (!(bits & 3)) return unknown;
     if ((bits & 3) === 1) return known;

@@ -1,14 +1,15 @@
 // The two images: where pixels are on the screen, and what pointers do there. A click brings the
 // cross; picking is the loupe's or a key's.
 
-import { el, say, Surface } from "./dom.js";
-import { state, watch, changed, selected, broken, ageText } from "./store.js";
-import { run, moveCursor } from "./commands.js";
+import { el, say, Surface } from "../frame/dom.js";
+import { state, watch, changed, selected, broken, ageText } from "../link/store.js";
+import { run, moveCursor } from "../link/commands.js";
 import { Loupe } from "./loupe.js";
 import { marksOf, drawMarks, hairlines, nearest, tagOf, depthAt } from "./marks.js";
 
 const REACH = { mouse: 12, pen: 12, touch: 24 }; // CSS pixels around a mark
-const DRAG = 4, MOST_ZOOM = 32;
+const DRAG = 4,
+  MOST_ZOOM = 32;
 
 /** One robot's image with its loupe. */
 export class ImagePanel {
@@ -17,19 +18,41 @@ export class ImagePanel {
     this.zoom = 1;
     this.centre = null;
     this.pointers = new Map();
-    const heading = el("h2", "", (this.robot = el("span", "robot")), (this.tag = el("span", "tag")), (this.view = el("span", "dim wide")), (this.place = el("span", "place dim")), el("em", "stamp"));
-    const canvas = el("canvas", "photo"), fine = el("canvas", "loupe");
+    const heading = el(
+      "h2",
+      "",
+      (this.robot = el("span", "robot")),
+      (this.tag = el("span", "tag")),
+      (this.view = el("span", "dim wide")),
+      (this.place = el("span", "place dim")),
+      el("em", "stamp"),
+    );
+    const canvas = el("canvas", "photo"),
+      fine = el("canvas", "loupe");
     this.empty = el("p", "empty");
-    this.pictures = el("div", "pictures", el("div", "view", canvas, this.empty), (this.loupeBox = el("div", "view", fine)));
+    this.pictures = el(
+      "div",
+      "pictures",
+      el("div", "view", canvas, this.empty),
+      (this.loupeBox = el("div", "view", fine)),
+    );
     this.section = el("section", "panel image", heading, this.pictures);
     this.section.dataset.panel = side ? "right" : "left";
     this.section.tabIndex = 0;
     this.surface = new Surface(canvas, (ctx, w, h) => this.paint(ctx, w, h));
     this.loupe = new Loupe(side, fine, this.loupeBox);
     this.listen(canvas);
-    this.section.addEventListener("focus", () => { if (state.active !== side) { state.active = side; changed("active"); } });
+    this.section.addEventListener("focus", () => {
+      if (state.active !== side) {
+        state.active = side;
+        changed("active");
+      }
+    });
     new ResizeObserver(() => this.divide()).observe(this.pictures);
-    watch(["images", "list", "assist", "cursors", "active", "marks", "theme", "names", "link", "tick", "mode"], () => this.draw());
+    watch(
+      ["images", "list", "assist", "cursors", "active", "marks", "theme", "names", "link", "tick", "mode"],
+      () => this.draw(),
+    );
   }
 
   /** CSS pixels per image pixel. */
@@ -40,18 +63,21 @@ export class ImagePanel {
 
   /** Image pixel to CSS pixels; the centre of the top-left pixel is (0, 0). */
   toScreen = ([u, v]) => {
-    const s = this.scale(), [cu, cv] = this.middle();
+    const s = this.scale(),
+      [cu, cv] = this.middle();
     return [this.surface.width / 2 + (u - cu) * s, this.surface.height / 2 + (v - cv) * s];
   };
 
   toImage([x, y]) {
-    const s = this.scale(), [cu, cv] = this.middle();
+    const s = this.scale(),
+      [cu, cv] = this.middle();
     return [cu + (x - this.surface.width / 2) / s, cv + (y - this.surface.height / 2) / s];
   }
 
   /** The image pixel in the middle of the view; it never shows more border than must be. */
   middle() {
-    const { width, height } = state.images[this.side], s = this.scale();
+    const { width, height } = state.images[this.side],
+      s = this.scale();
     const keep = (c, size, box) => {
       const half = Math.min(box / s / 2, size / 2);
       return Math.min(Math.max(c, half - 0.5), size - 0.5 - half);
@@ -70,17 +96,29 @@ export class ImagePanel {
   }
 
   draw() {
-    const image = state.images[this.side], names = selected(), side = this.side, gone = broken();
-    const [tag, now] = tagOf(side), cursor = state.cursors[side];
+    const image = state.images[this.side],
+      names = selected(),
+      side = this.side,
+      gone = broken();
+    const [tag, now] = tagOf(side),
+      cursor = state.cursors[side];
     say(this.robot, names ? names[side] : "–");
     say(this.tag, gone ? "" : tag);
     this.tag.classList.toggle("now", now);
-    say(this.view, image ? `view ${image.view}, ${gone ? `${ageText(gone.age)} old` : state.list.frozen ? "held" : "live"}` : "");
+    say(
+      this.view,
+      image
+        ? `view ${image.view}, ${gone ? `${ageText(gone.age)} old` : state.list.frozen ? "held" : "live"}`
+        : "",
+    );
     say(this.place, image && cursor ? placeText(side, cursor) : "");
     say(this.empty, image ? "" : names ? `No image of ${names[side]} yet` : "");
     this.section.setAttribute("aria-label", `Image of ${names ? names[side] : "no robot"}`);
     this.section.classList.toggle("active", state.active === side);
-    if (image && this.size !== `${image.width}x${image.height}`) { this.size = `${image.width}x${image.height}`; this.divide(); }
+    if (image && this.size !== `${image.width}x${image.height}`) {
+      this.size = `${image.width}x${image.height}`;
+      this.divide();
+    }
     this.surface.draw();
     this.loupe.draw();
   }
@@ -88,11 +126,14 @@ export class ImagePanel {
   paint(ctx, width, height) {
     const image = state.images[this.side];
     if (!image) return;
-    const s = this.scale(), [x, y] = this.toScreen([-0.5, -0.5]);
+    const s = this.scale(),
+      [x, y] = this.toScreen([-0.5, -0.5]);
     ctx.imageSmoothingEnabled = s < 2;
     ctx.drawImage(image.bitmap, x, y, image.width * s, image.height * s);
-    const cursor = state.cursors[this.side], both = state.assist.suggestion;
-    if (cursor && (both || state.active === this.side) && !state.marksHidden) hairlines(ctx, this.toScreen(cursor), width, height);
+    const cursor = state.cursors[this.side],
+      both = state.assist.suggestion;
+    if (cursor && (both || state.active === this.side) && !state.marksHidden)
+      hairlines(ctx, this.toScreen(cursor), width, height);
     drawMarks(ctx, marksOf(this.side), this.toScreen, width);
   }
 
@@ -101,19 +142,31 @@ export class ImagePanel {
     canvas.addEventListener("pointermove", (e) => this.moved(e));
     canvas.addEventListener("pointerup", (e) => this.up(e));
     canvas.addEventListener("pointercancel", (e) => this.pointers.delete(e.pointerId));
-    canvas.addEventListener("wheel", (e) => { e.preventDefault(); this.zoomBy(Math.exp(-e.deltaY / 400), this.surface.at(e)); }, { passive: false });
+    canvas.addEventListener(
+      "wheel",
+      (e) => {
+        e.preventDefault();
+        this.zoomBy(Math.exp(-e.deltaY / 400), this.surface.at(e));
+      },
+      { passive: false },
+    );
   }
 
   down(e) {
     if (!state.images[this.side] || e.button > 0) return;
     e.currentTarget.setPointerCapture(e.pointerId);
-    this.pointers.set(e.pointerId, { at: this.surface.at(e), from: this.surface.at(e), dragged: this.pointers.size > 0 });
+    this.pointers.set(e.pointerId, {
+      at: this.surface.at(e),
+      from: this.surface.at(e),
+      dragged: this.pointers.size > 0,
+    });
   }
 
   moved(e) {
     const pointer = this.pointers.get(e.pointerId);
     if (!pointer || !state.images[this.side]) return;
-    const at = this.surface.at(e), before = pointer.at;
+    const at = this.surface.at(e),
+      before = pointer.at;
     pointer.dragged ||= Math.hypot(at[0] - pointer.from[0], at[1] - pointer.from[1]) > DRAG;
     if (!pointer.dragged) return;
     pointer.at = at;
@@ -141,7 +194,8 @@ export class ImagePanel {
   }
 
   panBy(dx, dy) {
-    const s = this.scale(), [u, v] = this.middle();
+    const s = this.scale(),
+      [u, v] = this.middle();
     this.centre = [u - dx / s, v - dy / s];
     this.surface.draw();
   }
@@ -152,7 +206,10 @@ export class ImagePanel {
     const held = this.toImage(at);
     this.zoom = Math.min(Math.max(this.zoom * factor, 1), MOST_ZOOM);
     const s = this.scale();
-    this.centre = [held[0] - (at[0] - this.surface.width / 2) / s, held[1] - (at[1] - this.surface.height / 2) / s];
+    this.centre = [
+      held[0] - (at[0] - this.surface.width / 2) / s,
+      held[1] - (at[1] - this.surface.height / 2) / s,
+    ];
     this.surface.draw();
   }
 
@@ -160,7 +217,8 @@ export class ImagePanel {
   reveal() {
     if (!state.images[this.side] || !state.cursors[this.side]) return;
     const [x, y] = this.toScreen(state.cursors[this.side]);
-    if (x < 0 || y < 0 || x > this.surface.width || y > this.surface.height) this.centre = state.cursors[this.side];
+    if (x < 0 || y < 0 || x > this.surface.width || y > this.surface.height)
+      this.centre = state.cursors[this.side];
   }
 
   fit() {

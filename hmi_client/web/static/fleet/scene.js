@@ -1,8 +1,8 @@
 // Points and cameras of the fleet: drag turns, with Shift or two fingers moves, wheel zooms.
 
-import { colour, Surface, say } from "./dom.js";
-import { state, watch, selected } from "./store.js";
-import { missing, listed } from "./steps.js";
+import { colour, Surface, say } from "../frame/dom.js";
+import { state, watch, selected } from "../link/store.js";
+import { missing, listed } from "../frame/steps.js";
 import { cameraOf, project, Raster } from "./raster.js";
 
 const panel = document.getElementById("scene");
@@ -11,27 +11,50 @@ const start = { azimuth: Math.PI + 0.6, elevation: 0.45, distance: 0, target: [0
 const view = { ...start };
 const raster = new Raster();
 const scratch = document.createElement("canvas").getContext("2d");
-let surface, touched = false;
+let surface,
+  touched = false;
 
 /** Draws and listens. */
 export function startScene() {
   surface = new Surface(panel.querySelector("canvas"), draw);
-  const { canvas } = surface, held = new Map();
-  canvas.addEventListener("pointerdown", (e) => { canvas.setPointerCapture(e.pointerId); held.set(e.pointerId, surface.at(e)); });
-  canvas.addEventListener("pointermove", (e) => { if (held.has(e.pointerId)) drag(held, e); });
-  for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, (e) => held.delete(e.pointerId));
-  canvas.addEventListener("wheel", (e) => { e.preventDefault(); zoom(Math.exp(e.deltaY / 500)); }, { passive: false });
-  canvas.addEventListener("dblclick", () => { touched = false; surface.draw(); });
+  const { canvas } = surface,
+    held = new Map();
+  canvas.addEventListener("pointerdown", (e) => {
+    canvas.setPointerCapture(e.pointerId);
+    held.set(e.pointerId, surface.at(e));
+  });
+  canvas.addEventListener("pointermove", (e) => {
+    if (held.has(e.pointerId)) drag(held, e);
+  });
+  for (const end of ["pointerup", "pointercancel"])
+    canvas.addEventListener(end, (e) => held.delete(e.pointerId));
+  canvas.addEventListener(
+    "wheel",
+    (e) => {
+      e.preventDefault();
+      zoom(Math.exp(e.deltaY / 500));
+    },
+    { passive: false },
+  );
+  canvas.addEventListener("dblclick", () => {
+    touched = false;
+    surface.draw();
+  });
   watch(["clouds", "poses", "names", "list", "matrix", "theme", "mode", "panel"], () => {
     const lost = missing();
-    say(note, lost.length ? `${listed(lost, 4)} ${lost.length === 1 ? "is" : "are"} not in this space yet` : "");
+    say(
+      note,
+      lost.length ? `${listed(lost, 4)} ${lost.length === 1 ? "is" : "are"} not in this space yet` : "",
+    );
     surface.draw();
   });
 }
 
 function drag(held, e) {
-  const at = surface.at(e), before = held.get(e.pointerId);
-  const dx = at[0] - before[0], dy = at[1] - before[1];
+  const at = surface.at(e),
+    before = held.get(e.pointerId);
+  const dx = at[0] - before[0],
+    dy = at[1] - before[1];
   held.set(e.pointerId, at);
   if (!touched) settle();
   if (held.size > 1) pinch(held, e.pointerId, before, at);
@@ -50,7 +73,8 @@ function pinch(held, id, before, at) {
 }
 
 function shift(dx, dy) {
-  const camera = cameraOf(view, surface.width, surface.height), s = view.distance / camera.focal;
+  const camera = cameraOf(view, surface.width, surface.height),
+    s = view.distance / camera.focal;
   view.target = view.target.map((t, k) => t - s * dx * camera.right[k] + s * dy * camera.up[k]);
 }
 
@@ -68,11 +92,20 @@ function settle() {
 /** All robots and most points in view. */
 function look(robots) {
   const places = robots.map((r) => r.at);
-  for (const { fleet } of state.clouds.values()) for (let k = 0; k < fleet.length; k += 300) places.push([fleet[k], fleet[k + 1], fleet[k + 2]]);
+  for (const { fleet } of state.clouds.values())
+    for (let k = 0; k < fleet.length; k += 300) places.push([fleet[k], fleet[k + 1], fleet[k + 2]]);
   if (!places.length) return;
-  const target = [0, 1, 2].map((k) => (median(places.map((p) => p[k])) + (robots.length ? median(robots.map((r) => r.at[k])) : 0)) / 2);
-  const ahead = robots.reduce((sum, r) => [sum[0] + Math.cos(r.heading), sum[1] + Math.sin(r.heading)], [0, 0]);
-  const azimuth = Math.hypot(...ahead) > 0.3 * robots.length ? Math.atan2(ahead[1], ahead[0]) + Math.PI + 0.25 : start.azimuth;
+  const target = [0, 1, 2].map(
+    (k) => (median(places.map((p) => p[k])) + (robots.length ? median(robots.map((r) => r.at[k])) : 0)) / 2,
+  );
+  const ahead = robots.reduce(
+    (sum, r) => [sum[0] + Math.cos(r.heading), sum[1] + Math.sin(r.heading)],
+    [0, 0],
+  );
+  const azimuth =
+    Math.hypot(...ahead) > 0.3 * robots.length
+      ? Math.atan2(ahead[1], ahead[0]) + Math.PI + 0.25
+      : start.azimuth;
   Object.assign(view, { target, azimuth, elevation: start.elevation, distance: 1 });
   while (view.distance < 1e4 && seen(places) < 0.97 * places.length) view.distance *= 1.15;
   while (view.distance < 1e4 && seen(robots.map((r) => r.at)) < robots.length) view.distance *= 1.1;
@@ -82,12 +115,16 @@ function look(robots) {
 function seen(places) {
   const camera = cameraOf(view, surface.width, surface.height);
   const inside = ([x, y]) => x > 24 && x < surface.width - 24 && y > 12 && y < surface.height - 34;
-  return places.filter((place) => { const at = project(camera, place); return at && inside(at); }).length;
+  return places.filter((place) => {
+    const at = project(camera, place);
+    return at && inside(at);
+  }).length;
 }
 
 /** Pyramids that do not hide their neighbours. */
 function sizeOf(robots) {
-  const gap = (a) => Math.min(...robots.map((b) => (b === a ? Infinity : Math.hypot(...a.at.map((x, k) => x - b.at[k])))));
+  const gap = (a) =>
+    Math.min(...robots.map((b) => (b === a ? Infinity : Math.hypot(...a.at.map((x, k) => x - b.at[k])))));
   return Math.min(view.distance / 22, robots.length > 1 ? 0.8 * median(robots.map(gap)) : Infinity);
 }
 
@@ -97,9 +134,19 @@ const median = (values) => values.sort((a, b) => a - b)[values.length >> 1];
 function robotsNow() {
   return (state.poses ?? []).flatMap((p, k) => {
     if (!p.located || !state.names[k]) return [];
-    const T = state.clouds.get(k)?.pose, c = Math.cos(p.heading), s = Math.sin(p.heading);
-    const axes = T ? [0, 1, 2].map((a) => [T[a], T[a + 4], T[a + 8]]) : [[c, s, 0], [-s, c, 0], [0, 0, 1]];
-    return [{ k, name: state.names[k], heading: p.heading, at: T ? [T[3], T[7], T[11]] : [p.x, p.y, 0], axes }];
+    const T = state.clouds.get(k)?.pose,
+      c = Math.cos(p.heading),
+      s = Math.sin(p.heading);
+    const axes = T
+      ? [0, 1, 2].map((a) => [T[a], T[a + 4], T[a + 8]])
+      : [
+          [c, s, 0],
+          [-s, c, 0],
+          [0, 0, 1],
+        ];
+    return [
+      { k, name: state.names[k], heading: p.heading, at: T ? [T[3], T[7], T[11]] : [p.x, p.y, 0], axes },
+    ];
   });
 }
 
@@ -111,8 +158,10 @@ function draw(ctx, width, height) {
   points(ctx, camera, width, height);
   floor(ctx, camera);
   links(ctx, camera, robots);
-  const names = selected() ?? [], size = sizeOf(robots);
-  for (const robot of robots) pyramid(ctx, camera, robot, size, colour(names.includes(robot.name) ? "red-text" : "good"));
+  const names = selected() ?? [],
+    size = sizeOf(robots);
+  for (const robot of robots)
+    pyramid(ctx, camera, robot, size, colour(names.includes(robot.name) ? "red-text" : "good"));
   labels(ctx, camera, robots, names);
 }
 
@@ -121,8 +170,10 @@ function points(ctx, camera, width, height) {
   raster.resize(scratch, w, h);
   const base = parseInt(colour("scene").slice(1), 16);
   raster.clear(0xff000000 | ((base & 255) << 16) | (base & 0xff00) | (base >> 16));
-  for (const { fleet, colours } of state.clouds.values()) raster.cloud(state.theme === "dark", camera, fleet, colours);
-  if (scratch.canvas.width !== w || scratch.canvas.height !== h) [scratch.canvas.width, scratch.canvas.height] = [w, h];
+  for (const { fleet, colours } of state.clouds.values())
+    raster.cloud(state.theme === "dark", camera, fleet, colours);
+  if (scratch.canvas.width !== w || scratch.canvas.height !== h)
+    [scratch.canvas.width, scratch.canvas.height] = [w, h];
   scratch.putImageData(raster.picture, 0, 0);
   ctx.imageSmoothingEnabled = false;
   ctx.drawImage(scratch.canvas, 0, 0, width, height);
@@ -145,26 +196,44 @@ function stroke(ctx, paint, wide, path) {
 
 /** A grid around the origin and the origin's axes. */
 function floor(ctx, camera) {
-  const cell = 10 ** Math.ceil(Math.log10(view.distance / 8)) / 2, n = 5;
+  const cell = 10 ** Math.ceil(Math.log10(view.distance / 8)) / 2,
+    n = 5;
   stroke(ctx, colour("line"), 1, () => {
-    for (let k = -n; k <= n; k++) for (let m = -n; m < n; m++) {
-      line(ctx, camera, [k * cell, m * cell, 0], [k * cell, (m + 1) * cell, 0]);
-      line(ctx, camera, [m * cell, k * cell, 0], [(m + 1) * cell, k * cell, 0]);
-    }
+    for (let k = -n; k <= n; k++)
+      for (let m = -n; m < n; m++) {
+        line(ctx, camera, [k * cell, m * cell, 0], [k * cell, (m + 1) * cell, 0]);
+        line(ctx, camera, [m * cell, k * cell, 0], [(m + 1) * cell, k * cell, 0]);
+      }
   });
-  [["out-mark", [1, 0, 0]], ["good", [0, 1, 0]], ["focus", [0, 0, 1]]].forEach(([paint, axis]) => stroke(ctx, colour(paint), 2, () => line(ctx, camera, [0, 0, 0], axis.map((x) => (x * view.distance) / 12))));
+  [
+    ["out-mark", [1, 0, 0]],
+    ["good", [0, 1, 0]],
+    ["focus", [0, 0, 1]],
+  ].forEach(([paint, axis]) =>
+    stroke(ctx, colour(paint), 2, () =>
+      line(
+        ctx,
+        camera,
+        [0, 0, 0],
+        axis.map((x) => (x * view.distance) / 12),
+      ),
+    ),
+  );
 }
 
 function links(ctx, camera, robots) {
   const { matrix, names } = state;
   if (!matrix || matrix.n !== names.length) return;
-  for (const a of robots) for (const b of robots) {
-    if (a.k >= b.k) continue;
-    const cell = matrix.at(a.k, b.k);
-    if (cell.state !== "tried" || !["verified", "plausible"].includes(cell.verdict)) continue;
-    ctx.setLineDash(cell.verdict === "verified" ? [] : [4, 4]);
-    stroke(ctx, colour(cell.verdict === "verified" ? "link" : "link-weak"), 1, () => line(ctx, camera, a.at, b.at));
-  }
+  for (const a of robots)
+    for (const b of robots) {
+      if (a.k >= b.k) continue;
+      const cell = matrix.at(a.k, b.k);
+      if (cell.state !== "tried" || !["verified", "plausible"].includes(cell.verdict)) continue;
+      ctx.setLineDash(cell.verdict === "verified" ? [] : [4, 4]);
+      stroke(ctx, colour(cell.verdict === "verified" ? "link" : "link-weak"), 1, () =>
+        line(ctx, camera, a.at, b.at),
+      );
+    }
   ctx.setLineDash([]);
 }
 
@@ -172,7 +241,12 @@ function links(ctx, camera, robots) {
 function pyramid(ctx, camera, { at, axes: [x, y, z] }, size, paint) {
   const corner = (a, b) => at.map((t, k) => t + size * (x[k] + 0.6 * a * y[k] + 0.45 * b * z[k]));
   const corners = [corner(1, 1), corner(-1, 1), corner(-1, -1), corner(1, -1)];
-  stroke(ctx, paint, 1.4, () => corners.forEach((c, k) => { line(ctx, camera, at, c); line(ctx, camera, c, corners[(k + 1) % 4]); }));
+  stroke(ctx, paint, 1.4, () =>
+    corners.forEach((c, k) => {
+      line(ctx, camera, at, c);
+      line(ctx, camera, c, corners[(k + 1) % 4]);
+    }),
+  );
 }
 
 function labels(ctx, camera, robots, names) {

@@ -1,32 +1,65 @@
 // The fleet from above: positions, headings, two-sigma ellipses, links; robots without a place apart.
 
-import { el, colour, Surface } from "./dom.js";
-import { state, watch, selected } from "./store.js";
-import { command, run } from "./commands.js";
+import { el, colour, Surface } from "../frame/dom.js";
+import { state, watch, selected } from "../link/store.js";
+import { command, run } from "../link/commands.js";
 
 const panel = document.getElementById("map");
 const apart = panel.querySelector(".apart");
 const REACH = { mouse: 12, pen: 12, touch: 24 };
 const view = { zoom: 1, dx: 0, dy: 0, ellipses: true, follow: false };
-let surface, shown = [];
+let surface,
+  shown = [];
 
 /** Draws and listens; gives `pan(dx, dy)` for the arrows. */
 export function startMap() {
   surface = new Surface(panel.querySelector("canvas"), draw);
   const { canvas } = surface;
   let held = null;
-  canvas.addEventListener("pointerdown", (e) => { held = { at: surface.at(e), moved: false }; canvas.setPointerCapture(e.pointerId); });
-  canvas.addEventListener("pointermove", (e) => { if (held) held = drag(held, surface.at(e)); });
-  canvas.addEventListener("pointerup", (e) => { if (held && !held.moved) choose(surface.at(e), REACH[e.pointerType] ?? 12); held = null; });
-  canvas.addEventListener("wheel", (e) => { e.preventDefault(); zoomBy(Math.exp(-e.deltaY / 400)); }, { passive: false });
-  command("ellipses", () => { view.ellipses = !view.ellipses; surface.draw(); });
-  command("follow", () => { view.follow = !view.follow; surface.draw(); });
-  watch(["poses", "names", "list", "matrix", "clouds", "theme", "questions"], () => { drawApart(); surface.draw(); });
-  return { pan: (dx, dy) => { view.dx -= 12 * dx; view.dy -= 12 * dy; surface.draw(); return true; } };
+  canvas.addEventListener("pointerdown", (e) => {
+    held = { at: surface.at(e), moved: false };
+    canvas.setPointerCapture(e.pointerId);
+  });
+  canvas.addEventListener("pointermove", (e) => {
+    if (held) held = drag(held, surface.at(e));
+  });
+  canvas.addEventListener("pointerup", (e) => {
+    if (held && !held.moved) choose(surface.at(e), REACH[e.pointerType] ?? 12);
+    held = null;
+  });
+  canvas.addEventListener(
+    "wheel",
+    (e) => {
+      e.preventDefault();
+      zoomBy(Math.exp(-e.deltaY / 400));
+    },
+    { passive: false },
+  );
+  command("ellipses", () => {
+    view.ellipses = !view.ellipses;
+    surface.draw();
+  });
+  command("follow", () => {
+    view.follow = !view.follow;
+    surface.draw();
+  });
+  watch(["poses", "names", "list", "matrix", "clouds", "theme", "questions"], () => {
+    drawApart();
+    surface.draw();
+  });
+  return {
+    pan: (dx, dy) => {
+      view.dx -= 12 * dx;
+      view.dy -= 12 * dy;
+      surface.draw();
+      return true;
+    },
+  };
 }
 
 function drag(held, at) {
-  const dx = at[0] - held.at[0], dy = at[1] - held.at[1];
+  const dx = at[0] - held.at[0],
+    dy = at[1] - held.at[1];
   if (!held.moved && Math.hypot(dx, dy) < 4) return held;
   view.dx += dx;
   view.dy += dy;
@@ -54,14 +87,20 @@ function drawApart() {
   if (!lost.length) return;
   const names = selected() ?? [];
   const anchor = state.origin ?? "the fleet";
-  apart.replaceChildren(el("span", "", `Not joined to ${anchor}: place not known`), el("div", "", ...lost.map((name) => el("b", names.includes(name) ? "robot" : "", `${name}?`))));
+  apart.replaceChildren(
+    el("span", "", `Not joined to ${anchor}: place not known`),
+    el("div", "", ...lost.map((name) => el("b", names.includes(name) ? "robot" : "", `${name}?`))),
+  );
 }
 
 /** Metres to CSS pixels: all robots and the origin fit, the origin in the middle while that is fair. */
 function frameOf(poses, width, height) {
   const s = view.zoom / reachOf(poses, width, height);
   const focus = view.follow ? middleOf() : [0, 0];
-  return { s, at: (x, y) => [width / 2 + view.dx + (x - focus[0]) * s, height / 2 + view.dy - (y - focus[1]) * s] };
+  return {
+    s,
+    at: (x, y) => [width / 2 + view.dx + (x - focus[0]) * s, height / 2 + view.dy - (y - focus[1]) * s],
+  };
 }
 
 /** Metres per pixel that keep every robot inside. */
@@ -73,15 +112,20 @@ function reachOf(poses, width, height) {
 function middleOf() {
   const names = selected() ?? [];
   const places = names.map((name) => state.poses[state.names.indexOf(name)]).filter((p) => p?.located);
-  return places.length ? [0, 1].map((k) => places.reduce((sum, p) => sum + (k ? p.y : p.x), 0) / places.length) : [0, 0];
+  return places.length
+    ? [0, 1].map((k) => places.reduce((sum, p) => sum + (k ? p.y : p.x), 0) / places.length)
+    : [0, 0];
 }
 
 function draw(ctx, width, height) {
   shown = [];
-  const located = (state.poses ?? []).map((p, k) => ({ ...p, name: state.names[k], k })).filter((p) => p.located && p.name);
+  const located = (state.poses ?? [])
+    .map((p, k) => ({ ...p, name: state.names[k], k }))
+    .filter((p) => p.located && p.name);
   ctx.font = "500 12px Inter, sans-serif";
   if (!located.length) return words(ctx, "No robot has a place yet", 12, 22, colour("dim"));
-  const { s, at } = frameOf(located, width, height), names = selected() ?? [];
+  const { s, at } = frameOf(located, width, height),
+    names = selected() ?? [];
   axes(ctx, at, s, width, height);
   ground(ctx, at);
   links(ctx, at, located);
@@ -103,7 +147,10 @@ function axes(ctx, at, s, width, height) {
   ctx.strokeStyle = colour("line");
   ctx.lineWidth = 1;
   ctx.beginPath();
-  ctx.moveTo(0, y0); ctx.lineTo(width, y0); ctx.moveTo(x0, 0); ctx.lineTo(x0, height);
+  ctx.moveTo(0, y0);
+  ctx.lineTo(width, y0);
+  ctx.moveTo(x0, 0);
+  ctx.lineTo(x0, height);
   ctx.stroke();
 }
 
@@ -122,22 +169,24 @@ function ground(ctx, at) {
 function links(ctx, at, located) {
   if (!state.matrix || state.matrix.n !== state.names.length) return;
   ctx.lineWidth = 1;
-  for (const a of located) for (const b of located) {
-    if (a.k >= b.k) continue;
-    const { verdict, state: known } = state.matrix.at(a.k, b.k);
-    if (known !== "tried" || verdict === "rejected" || !verdict) continue;
-    ctx.setLineDash(verdict === "verified" ? [] : [4, 4]);
-    ctx.strokeStyle = colour(verdict === "verified" ? "link" : "link-weak");
-    ctx.beginPath();
-    ctx.moveTo(...at(a.x, a.y));
-    ctx.lineTo(...at(b.x, b.y));
-    ctx.stroke();
-  }
+  for (const a of located)
+    for (const b of located) {
+      if (a.k >= b.k) continue;
+      const { verdict, state: known } = state.matrix.at(a.k, b.k);
+      if (known !== "tried" || verdict === "rejected" || !verdict) continue;
+      ctx.setLineDash(verdict === "verified" ? [] : [4, 4]);
+      ctx.strokeStyle = colour(verdict === "verified" ? "link" : "link-weak");
+      ctx.beginPath();
+      ctx.moveTo(...at(a.x, a.y));
+      ctx.lineTo(...at(b.x, b.y));
+      ctx.stroke();
+    }
   ctx.setLineDash([]);
 }
 
 function robot(ctx, p, at, s, chosen) {
-  const [x, y] = at(p.x, p.y), paint = colour(chosen ? "red-text" : "good");
+  const [x, y] = at(p.x, p.y),
+    paint = colour(chosen ? "red-text" : "good");
   const size = state.names.length > 24 && !chosen ? 2.5 : 4.5;
   shown.push({ x, y, name: p.name });
   if (view.ellipses && Number.isFinite(p.xx)) ellipse(ctx, [x, y], p, s);
@@ -145,7 +194,8 @@ function robot(ctx, p, at, s, chosen) {
   ctx.globalAlpha = 0.35;
   ctx.beginPath();
   ctx.moveTo(x, y);
-  for (const side of [-0.35, 0.35]) ctx.lineTo(x + 4 * size * Math.cos(p.heading + side), y - 4 * size * Math.sin(p.heading + side));
+  for (const side of [-0.35, 0.35])
+    ctx.lineTo(x + 4 * size * Math.cos(p.heading + side), y - 4 * size * Math.sin(p.heading + side));
   ctx.fill();
   ctx.globalAlpha = 1;
   ctx.beginPath();
@@ -159,7 +209,8 @@ function robot(ctx, p, at, s, chosen) {
 
 /** Two sigma of the position. */
 function ellipse(ctx, [x, y], { xx, xy, yy }, s) {
-  const mean = (xx + yy) / 2, d = Math.hypot((xx - yy) / 2, xy);
+  const mean = (xx + yy) / 2,
+    d = Math.hypot((xx - yy) / 2, xy);
   const [a, b] = [mean + d, Math.max(mean - d, 0)].map((v) => Math.max(1, 2 * Math.sqrt(Math.max(v, 0)) * s));
   ctx.strokeStyle = colour("dim");
   ctx.lineWidth = 1;
@@ -174,11 +225,18 @@ function labels(ctx, located, at, names) {
   const first = (p) => (names.includes(p.name) ? 0 : p.name === state.origin ? 1 : 2);
   for (const p of [...located].sort((a, b) => first(a) - first(b))) {
     const chosen = names.includes(p.name);
-    const [x, y] = at(p.x, p.y), w = ctx.measureText(p.name).width, left = x - w - 14;
+    const [x, y] = at(p.x, p.y),
+      w = ctx.measureText(p.name).width,
+      left = x - w - 14;
     const box = [left - 4, y - 9, w + 8, 18];
     if (!chosen && taken.some((t) => overlap(t, box))) continue;
     taken.push(box);
-    if (chosen) { ctx.fillStyle = colour("red"); ctx.beginPath(); ctx.roundRect(...box, 4); ctx.fill(); }
+    if (chosen) {
+      ctx.fillStyle = colour("red");
+      ctx.beginPath();
+      ctx.roundRect(...box, 4);
+      ctx.fill();
+    }
     words(ctx, p.name, left, y, chosen ? colour("on-red") : colour("text"));
   }
 }
@@ -191,7 +249,10 @@ function scaleBar(ctx, s, height) {
   ctx.strokeStyle = colour("dim");
   ctx.lineWidth = 1;
   ctx.beginPath();
-  ctx.moveTo(12, y - 4); ctx.lineTo(12, y); ctx.lineTo(12 + metres * s, y); ctx.lineTo(12 + metres * s, y - 4);
+  ctx.moveTo(12, y - 4);
+  ctx.lineTo(12, y);
+  ctx.lineTo(12 + metres * s, y);
+  ctx.lineTo(12 + metres * s, y - 4);
   ctx.stroke();
   words(ctx, `${metres} m`, 20 + metres * s, y - 2, colour("dim"));
 }

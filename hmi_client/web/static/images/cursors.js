@@ -1,23 +1,27 @@
 // Where the crosses go by themselves: to the guess after the first click, to what is suggested, to a
 // point that does not fit, and to a point of the list. Each only once, so that arrows can correct it.
 
-import { state, watch, changed } from "./store.js";
-import { moveCursor } from "./commands.js";
-import { dropImages } from "./pictures.js";
+import { state, watch, react, changed } from "../link/store.js";
+import { moveCursor } from "../link/commands.js";
 
-let last = { pair: "", half: "", guess: "", suggestion: "", wrong: "" };
+const last = { pair: "", half: "", guess: "", suggestion: "", wrong: "" };
 
 /** Follows lists and assistance. */
 export function startCursors(reveal) {
-  watch(["list", "assist", "images"], () => { follow(); reveal(); });
+  react(["list", "assist", "images"], follow);
+  watch(["list", "assist", "images"], reveal);
 }
 
 function follow() {
   const { list, assist } = state;
-  once("pair", list.pair, () => { if (last.pairSeen) dropImages(); last.pairSeen = true; state.current = null; });
-  once("half", list.half, () => activate(list.half ? 1 - list.half.side : state.active));
-  if (state.images[assist.side]) once("guess", assist.expected, () => assist.expected?.pixel && moveCursor(assist.side, assist.expected.pixel));
-  if (list.half && state.images[list.half.side]) once("halfAt", list.half, () => moveCursor(list.half.side, list.half.pixel, false));
+  once("pair", list.pair, () => (state.current = null));
+  once("half", list.half?.side, () => activate(list.half ? 1 - list.half.side : state.active));
+  if (state.images[assist.side])
+    once(
+      "guess",
+      assist.expected,
+      () => assist.expected?.pixel && moveCursor(assist.side, assist.expected.pixel),
+    );
   if (state.images[0] && state.images[1]) {
     once("suggestion", assist.suggestion, () => assist.suggestion && both(assist.suggestion, 1));
     once("wrong", assist.wrong, () => assist.wrong && toPoint(assist.wrong.id, assist.wrong.side));

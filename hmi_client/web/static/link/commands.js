@@ -14,7 +14,8 @@ export function command(id, deed) {
 /** Does a command; where the bar offers it, with the bar's arguments. */
 export function run(id, args = {}) {
   if (own.has(id)) return own.get(id)(args);
-  if (broken()?.leg === "page") return tell("Not connected to hmi-client web: nothing can be done until it is back.");
+  if (broken()?.leg === "page")
+    return tell("Not connected to hmi-client web: nothing can be done until it is back.");
   flushCursors();
   const offered = (state.step?.actions ?? []).find((action) => action.do === id);
   const message = { do: id, ...aim(id), ...(offered?.args ?? {}), ...args };

@@ -6,6 +6,7 @@ import { send } from "./socket.js";
 
 const waiting = [null, null];
 const busy = [false, false];
+let pair = 0; // counts pairs: what was decoded for an earlier one is not shown
 
 /** Decodes a JPEG and shows it, unless a newer one came meanwhile. */
 export async function showImage(side, scale, view, jpeg) {
@@ -21,21 +22,26 @@ export async function showImage(side, scale, view, jpeg) {
 }
 
 async function decode(side, { scale, view, jpeg }) {
+  const mine = pair;
   const bitmap = await createImageBitmap(new Blob([jpeg], { type: "image/jpeg" })).catch(() => null);
-  if (bitmap) take(side, { bitmap, scale, view, width: bitmap.width * scale, height: bitmap.height * scale, pair: String(state.list.pair) });
+  if (bitmap && mine !== pair) bitmap.close();
+  else if (bitmap)
+    take(side, { bitmap, scale, view, width: bitmap.width * scale, height: bitmap.height * scale });
   else requestAnimationFrame(() => send({ do: "ack", side, view })); // a damaged one must not stop the next
 }
 
 function take(side, image) {
   state.images[side]?.bitmap.close();
   state.images[side] = image;
-  if (!state.cursors[side]) state.cursors[side] = [(image.width - 1) / 2, (image.height - 1) / 2];
+  const { half } = state.list;
+  state.cursors[side] ??= half?.side === side ? half.pixel : [(image.width - 1) / 2, (image.height - 1) / 2];
   changed("images");
   requestAnimationFrame(() => requestAnimationFrame(() => send({ do: "ack", side, view: image.view })));
 }
 
 /** Another pair has other images: the old ones are not its own. */
 export function dropImages() {
+  pair += 1;
   for (const side of [0, 1]) {
     state.images[side]?.bitmap.close();
     state.images[side] = waiting[side] = null;

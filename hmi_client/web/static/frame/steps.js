@@ -1,8 +1,8 @@
 // What the bar says: the sentences of hmi-client, and of the page itself what only the page knows:
 // that a leg of the connection is broken, and that all pairs are shown at once.
 
-import { state, broken, selected, ageText } from "./store.js";
-import { isBad } from "./marks.js";
+import { state, broken, selected, ageText } from "../link/store.js";
+import { isBad } from "../images/marks.js";
 
 const TONES = { ask: "act", act: "act", warn: "out", done: "good", wait: "act", gone: "warn" };
 
@@ -13,7 +13,14 @@ export function stepNow() {
   if (state.mode === "over") return overviewStep();
   const { step } = state;
   if (!step) return { tone: "act", kick: "", title: "Waiting for hmi-client web …", facts: [], actions: [] };
-  return { ...step, tone: TONES[step.tone] ?? "act", kick: step.kick ?? "", dots: true, facts: (step.facts ?? []).map(fact), actions: (step.actions ?? []).slice(0, 3) };
+  return {
+    ...step,
+    tone: TONES[step.tone] ?? "act",
+    kick: step.kick ?? "",
+    dots: true,
+    facts: (step.facts ?? []).map(fact),
+    actions: [...(step.actions ?? [])].sort((a, b) => Boolean(b.primary) - Boolean(a.primary)).slice(0, 3),
+  };
 }
 
 /** A fact is told as [label, text], {label, text} or "Label: text". */
@@ -32,7 +39,8 @@ export function kickText() {
   const k = questions.findIndex((q) => samePair([q.i, q.j], names));
   const pair = `${names[0]} – ${names[1]}`;
   const left = k < 0 ? pair : `Question ${k + 1} of ${questions.length} · ${pair}`;
-  const bad = list.points.filter(isBad).length, n = list.points.length;
+  const bad = list.points.filter(isBad).length,
+    n = list.points.length;
   if (assist.suggestion) return [left, `suggestion ${assist.suggestion.n} of ${assist.suggestion.of}`];
   if (bad) return [left, `${plural(n, "point")}, ${bad} contradict${bad === 1 ? "s" : ""}`];
   return [left, list.half ? `point ${doneCount() + 1}` : n ? plural(n, "point") : ""];
@@ -47,12 +55,23 @@ const samePair = (a, b) => (a[0] === b[0] && a[1] === b[1]) || (a[0] === b[1] &&
 
 function goneStep({ leg, age }) {
   const kept = state.health?.kept ?? state.list.kept ?? 0;
-  const clicks = kept ? `Your ${plural(kept, "click")} ${kept === 1 ? "is" : "are"} kept` : "Nothing of yours is lost";
-  const old = state.poses || state.step ? `What you see is ${ageText(age)} old · nothing to do but wait` : "Nothing was heard yet";
+  const clicks = kept
+    ? `Your ${plural(kept, "click")} ${kept === 1 ? "is" : "are"} kept`
+    : "Nothing of yours is lost";
+  const old =
+    state.poses || state.step
+      ? `What you see is ${ageText(age)} old · nothing to do but wait`
+      : "Nothing was heard yet";
   if (leg === "page") return pageGone(clicks, old, age);
   return {
-    tone: "warn", kick: old, title: `No server. ${clicks}`, legs: [null, age],
-    facts: [["What happens now", "Clicks are sent once it is back, even if you close this page."], ["If it stays away", `Is pose-server run running on ${state.health.address || "its machine"}?`]],
+    tone: "warn",
+    kick: old,
+    title: `No server. ${clicks}`,
+    legs: [null, age],
+    facts: [
+      ["What happens now", "Clicks are sent once it is back, even if you close this page."],
+      ["If it stays away", `Is pose-server run running on ${state.health.address || "its machine"}?`],
+    ],
     actions: [{ do: "events", label: "What was last confirmed" }],
   };
 }
@@ -60,8 +79,16 @@ function goneStep({ leg, age }) {
 function pageGone(clicks, old, age) {
   const refused = state.link.refused;
   return {
-    tone: "warn", kick: refused ? "This page is not let in" : old, title: refused || `No connection to hmi-client web. ${clicks}`, legs: [age, null],
-    facts: refused ? [] : [["What happens now", "The page comes back by itself. Half a pick is dropped; pick it again."], ["If it stays away", "Is hmi-client web running?"]],
+    tone: "warn",
+    kick: refused ? "This page is not let in" : old,
+    title: refused || `No connection to hmi-client web. ${clicks}`,
+    legs: [age, null],
+    facts: refused
+      ? []
+      : [
+          ["What happens now", "The page comes back by itself. Half a pick is dropped; pick it again."],
+          ["If it stays away", "Is hmi-client web running?"],
+        ],
     actions: [{ do: "events", label: "What was last confirmed" }],
   };
 }
@@ -70,17 +97,31 @@ function pageGone(clicks, old, age) {
 export const missing = () => (state.poses ? state.names.filter((_, k) => !state.poses[k]?.located) : []);
 
 function overviewStep() {
-  const lost = missing(), n = state.names.length;
-  const title = lost.length ? `${lost.length} of ${plural(n, "robot")} ${lost.length === 1 ? "is" : "are"} missing` : `All ${plural(n, "robot")} are located`;
-  const facts = [["What you see", "Dark is little error, light is much, brown is hidden or rejected."], ["What to do", "Take the questions in their order, or select any cell."]];
-  if (lost.length) facts.unshift(["Missing", `${listed(lost)} ${lost.length === 1 ? "is" : "are"} not joined.`]);
+  const lost = missing(),
+    n = state.names.length;
+  const title = lost.length
+    ? `${lost.length} of ${plural(n, "robot")} ${lost.length === 1 ? "is" : "are"} missing`
+    : `All ${plural(n, "robot")} are located`;
+  const facts = [
+    ["What you see", "Dark is little error, light is much, brown is hidden or rejected."],
+    ["What to do", "Take the questions in their order, or select any cell."],
+  ];
+  if (lost.length)
+    facts.unshift(["Missing", `${listed(lost)} ${lost.length === 1 ? "is" : "are"} not joined.`]);
   const next = state.questions.length ? [{ do: "next", label: "First question", primary: true }] : [];
-  return { tone: "act", kick: "Overview of all pairs", title, facts, actions: [...next, { do: "overview", label: "Back" }] };
+  return {
+    tone: "act",
+    kick: "Overview of all pairs",
+    title,
+    facts,
+    actions: [...next, { do: "overview", label: "Back" }],
+  };
 }
 
 /** "r41, r42 and r43", at most six by name. */
 export function listed(names, most = 6) {
-  const shown = names.slice(0, most), rest = names.length - shown.length;
+  const shown = names.slice(0, most),
+    rest = names.length - shown.length;
   if (rest) return `${shown.join(", ")} and ${rest} more`;
-  return shown.length > 1 ? `${shown.slice(0, -1).join(", ")} and ${shown.at(-1)}` : shown[0] ?? "";
+  return shown.length > 1 ? `${shown.slice(0, -1).join(", ")} and ${shown.at(-1)}` : (shown[0] ?? "");
 }

@@ -2,9 +2,12 @@
 
 import { header, matrixOf, posesOf, cloudOf } from "./decode.js";
 import { state, put, changed, addEvent, clearList } from "./store.js";
-import { showImage } from "./pictures.js";
+import { showImage, dropImages } from "./pictures.js";
 
-const FIRST_WAIT_MS = 100, LONGEST_WAIT_MS = 800, BUSY_WAIT_MS = 5000, SILENT_MS = 3000;
+const FIRST_WAIT_MS = 100,
+  LONGEST_WAIT_MS = 800,
+  BUSY_WAIT_MS = 5000,
+  SILENT_MS = 3000;
 const REFUSED = {
   4401: "The token is not right: open the address that hmi-client web prints.",
   4403: "This address is not allowed: open the one that hmi-client web prints.",
@@ -58,21 +61,44 @@ function hear(data) {
 }
 
 const HEARD = {
-  welcome: (m) => { Object.assign(state.link, { open: true, refused: "" }); wait = FIRST_WAIT_MS; put("welcome", m); changed("link"); },
-  names: (m) => { state.origin = m.origin; if (m.names.join() !== state.names.join()) forget(); put("names", m.names); },
+  welcome: (m) => {
+    Object.assign(state.link, { open: true, refused: "" });
+    wait = FIRST_WAIT_MS;
+    put("welcome", m);
+    changed("link");
+  },
+  names: (m) => {
+    state.origin = m.origin;
+    if (m.names.join() !== state.names.join()) forget();
+    put("names", m.names);
+  },
+  list: (m) => {
+    if (String(m.pair) !== String(state.list.pair)) dropImages();
+    put("list", m);
+  },
   event: addEvent,
   assist: (m) => put("assist", JSON.stringify(m.hints) === state.dismissed ? { ...m, hints: [] } : m),
-  health: (m) => { state.link.healthAt = performance.now(); put("health", m); changed("link"); },
+  health: (m) => {
+    state.link.healthAt = performance.now();
+    put("health", m);
+    changed("link");
+  },
   questions: (m) => put("questions", m.list),
-  pong: (m) => { state.link.ping_ms = performance.now() - m.at; changed("link"); },
+  pong: (m) => {
+    state.link.ping_ms = performance.now() - m.at;
+    changed("link");
+  },
   notice: (m) => put("notice", { ...m, at: performance.now() }),
-  cursor: (m) => { state.cursors[m.side] = m.pixel; changed("cursors"); },
+  cursor: (m) => {
+    state.cursors[m.side] = m.pixel;
+    changed("cursors");
+  },
 };
 
 function hearText(message) {
   const own = HEARD[message.t];
   if (own) own(message);
-  else if (["step", "list", "pair", "why", "clock"].includes(message.t)) put(message.t, message);
+  else if (["step", "pair", "why", "clock"].includes(message.t)) put(message.t, message);
 }
 
 /** Indices mean other robots now. */

@@ -1,10 +1,10 @@
 // The bar: what to do now, why, and at most three buttons with their keys.
 
 import { el, button } from "./dom.js";
-import { state, watch, selected, ageText } from "./store.js";
+import { state, watch, selected, ageText } from "../link/store.js";
 import { stepNow, kickText } from "./steps.js";
-import { isBad } from "./marks.js";
-import { run } from "./commands.js";
+import { isBad } from "../images/marks.js";
+import { run } from "../link/commands.js";
 import { keyOf } from "./keys.js";
 
 const bar = document.getElementById("bar");
@@ -13,7 +13,10 @@ let shown = "";
 
 /** Draws the bar whenever its words change, and only then: it is read aloud. */
 export function startBar() {
-  watch(["step", "list", "assist", "questions", "link", "tick", "mode", "names", "poses", "health", "welcome"], draw);
+  watch(
+    ["step", "list", "assist", "questions", "link", "tick", "mode", "names", "poses", "health", "welcome"],
+    draw,
+  );
 }
 
 function draw() {
@@ -21,14 +24,28 @@ function draw() {
   const [left, right] = step.dots ? kickText() : [step.kick, ""];
   const kick = step.kick || left;
   const marks = step.dots ? dots() : [];
-  const words = JSON.stringify([step, kick, right, marks, keyOf("undo"), state.list.undo, state.link.ping_ms && step.legs]);
+  const words = JSON.stringify([
+    step,
+    kick,
+    right,
+    marks,
+    keyOf("undo"),
+    state.list.undo,
+    state.link.ping_ms && step.legs,
+  ]);
   if (words === shown) return;
   shown = words;
   const focused = document.activeElement?.dataset?.deed;
   bar.className = `bar ${step.tone}`;
   bar.replaceChildren(
-    el("div", "now", el("div", "kick", el("span", "", kick), dotRow(marks), el("span", "", right)), title(step.title)),
-    facts(step), el("div", "actions", ...step.actions.map(actionButton)),
+    el(
+      "div",
+      "now",
+      el("div", "kick", el("span", "", kick), dotRow(marks), el("span", "", right)),
+      title(step.title),
+    ),
+    facts(step),
+    el("div", "actions", ...step.actions.map(actionButton)),
   );
   touchbar.replaceChildren(...step.actions.map(actionButton), ...touchButtons(step));
   if (focused) document.querySelector(`[data-deed="${CSS.escape(focused)}"]`)?.focus();
@@ -54,28 +71,45 @@ function dots() {
 const dotRow = (marks) => (marks.length ? el("span", "dots", ...marks.map((mark) => el("i", mark))) : null);
 
 function facts(step) {
-  const list = el("dl", "facts", ...step.facts.slice(0, 3).map(([label, text]) => el("div", "", label ? el("dt", "", label) : null, el("dd", "", kept(text)))));
-  if (step.legs) list.append(el("div", "legs-fact", el("dt", "", "Where it is broken"), el("dd", "legs", ...legs(step.legs))));
+  const list = el(
+    "dl",
+    "facts",
+    ...step.facts
+      .slice(0, 3)
+      .map(([label, text]) => el("div", "", label ? el("dt", "", label) : null, el("dd", "", kept(sentence(text))))),
+  );
+  if (step.legs)
+    list.append(
+      el("div", "legs-fact", el("dt", "", "Where it is broken"), el("dd", "legs", ...legs(step.legs))),
+    );
   return list;
 }
 
+/** A first letter is large, except of a robot's name. */
+const sentence = (text) => text.replace(/^[a-z]/, (c) => (/^[a-z]\d/.test(text) ? c : c.toUpperCase()));
 /** A number and its unit stay on one line. */
 const kept = (text) => text.replace(/(\d) (?=(?:%|m|cm|s|px)(?:[ .,;)]|$))/g, "$1\u00a0");
 
 /** page - hmi-client web - pose-server, with the broken leg named. */
 function legs([page, server]) {
   const { ping_ms } = state.link;
-  const leg = (age, ok) => (age === null ? el("span", "ok", ok) : el("span", "bad", `silent ${ageText(age)}`));
+  const leg = (age, ok) =>
+    age === null ? el("span", "ok", ok) : el("span", "bad", `silent ${ageText(age)}`);
   return [
-    el("b", "", "this page"), leg(page, ping_ms === null ? "ok" : `${Math.max(1, Math.round(ping_ms))} ms`), el("b", "", "hmi-client web"),
-    server === null ? el("span", "unknown", "not known") : leg(server, ""), el("b", "", "pose-server"),
+    el("b", "", "this page"),
+    leg(page, ping_ms === null ? "ok" : `${Math.max(1, Math.round(ping_ms))} ms`),
+    el("b", "", "hmi-client web"),
+    server === null ? el("span", "unknown", "not known") : leg(server, ""),
+    el("b", "", "pose-server"),
   ];
 }
 
 function actionButton(action) {
   const taken = action.do === "accept" && !state.assist.suggestion; // Tab is the browser's until a suggestion is shown
-  const key = taken ? "Enter" : action.key || keyOf(action.do);
-  const node = button(`button${action.primary ? " primary" : ""}`, action.label, key, () => run(action.do, action.args ?? {}));
+  const key = taken ? "Enter" : keyOf(action.do) || action.key;
+  const node = button(`button${action.primary ? " primary" : ""}`, sentence(action.label), key, () =>
+    run(action.do, action.args ?? {}),
+  );
   node.dataset.deed = action.do;
   return node;
 }

@@ -1,17 +1,32 @@
 // Which panels are shown, in which theme; what is seen is told to the bridge, which sends nothing else.
 
 import { el } from "./dom.js";
-import { state, watch, put, changed, selected } from "./store.js";
-import { command, run } from "./commands.js";
-import { send } from "./socket.js";
+import { state, watch, put, changed, selected } from "../link/store.js";
+import { command, run } from "../link/commands.js";
+import { send } from "../link/socket.js";
 
 const main = document.getElementById("main");
-const images = document.getElementById("images"), left = main.querySelector(".left"), middle = main.querySelector(".middle");
-const scene = document.getElementById("scene"), events = document.getElementById("events");
+const images = document.getElementById("images"),
+  left = main.querySelector(".left"),
+  middle = main.querySelector(".middle");
+const scene = document.getElementById("scene"),
+  events = document.getElementById("events");
 const small = matchMedia("(max-width: 1240px)");
-const TABS = [["map", "Map"], ["matrix", "Matrix"], ["pair", "Points"], ["scene", "3D"]];
-const PANELS = { "panel-map": "#map", "panel-matrix": "#matrix [tabindex='0']", "panel-list": "#pair button", "panel-left": "[data-panel=left]", "panel-right": "[data-panel=right]" };
-let wanted = "", saved = "";
+const TABS = [
+  ["map", "Map"],
+  ["matrix", "Matrix"],
+  ["pair", "Points"],
+  ["scene", "3D"],
+];
+const PANELS = {
+  "panel-map": "#map",
+  "panel-matrix": "#matrix [tabindex='0']",
+  "panel-list": "#pair button",
+  "panel-left": "[data-panel=left]",
+  "panel-right": "[data-panel=right]",
+};
+let wanted = "",
+  saved = "";
 
 /** Registers the commands of the layout and follows the state. */
 export function startLayout() {
@@ -19,9 +34,16 @@ export function startLayout() {
   command("overview", () => put("mode", state.mode === "over" ? "pick" : "over"));
   command("redraw", () => changed("theme", "matrix", "list"));
   command("quit", () => window.close());
-  for (const [id, where] of Object.entries(PANELS)) command(id, () => { show(id.slice(6)); document.querySelector(where)?.focus(); });
-  document.getElementById("theme").addEventListener("click", () => setTheme(state.theme === "dark" ? "light" : "dark"));
-  for (const node of document.querySelectorAll("[data-do]")) node.addEventListener("click", () => run(node.dataset.do));
+  for (const [id, where] of Object.entries(PANELS))
+    command(id, () => {
+      show(id.slice(6));
+      document.querySelector(where)?.focus();
+    });
+  document
+    .getElementById("theme")
+    .addEventListener("click", () => setTheme(state.theme === "dark" ? "light" : "dark"));
+  for (const node of document.querySelectorAll("[data-do]"))
+    node.addEventListener("click", () => run(node.dataset.do));
   document.getElementById("tabs").append(...TABS.map(tab));
   watch(["welcome"], restore);
   watch(["mode", "list", "panel", "welcome", "images"], arrange);
@@ -38,7 +60,10 @@ function tab([id, label]) {
   return node;
 }
 
-const show = (name) => { const id = { list: "pair", map: "map", matrix: "matrix" }[name]; if (id) put("panel", id); };
+const show = (name) => {
+  const id = { list: "pair", map: "map", matrix: "matrix" }[name];
+  if (id) put("panel", id);
+};
 
 function restore() {
   const { theme, panel } = state.welcome.settings ?? {};
@@ -66,14 +91,24 @@ function arrange() {
   const idle = !selected() && state.mode !== "max";
   const mode = state.mode === "pick" && idle ? "idle" : state.mode;
   main.className = `${mode}${main.classList.contains("stale") ? " stale" : ""}`;
-  const big = mode === "idle" && !small.matches;
+  const big = mode === "idle";
   place(scene, big ? main : left);
-  place(events, mode === "idle" && !small.matches ? left : mode === "over" ? document.getElementById("pair") : middle);
-  for (const node of document.querySelectorAll("[data-tab]")) node.setAttribute("aria-selected", String(node.dataset.tab === state.panel));
+  place(
+    events,
+    mode === "idle" && !small.matches ? left : mode === "over" ? document.getElementById("pair") : middle,
+  );
+  for (const node of document.querySelectorAll("[data-tab]"))
+    node.setAttribute("aria-selected", String(node.dataset.tab === state.panel));
   const bad = state.list.points.filter((p) => p.status === "outlier" || p.status === "rejected").length;
   document.querySelector("[data-tab=pair] .badge").textContent = bad || "";
-  for (const id of ["map", "matrix", "pair", "scene"]) document.getElementById(id).classList.toggle("on", id === state.panel);
-  for (const id of ["matrix", "pair"]) place(document.getElementById(id), small.matches && mode !== "over" ? left : middle, id === "pair" && !small.matches && mode !== "over" && mode !== "idle" ? events : null);
+  for (const id of ["map", "matrix", "pair", "scene"])
+    document.getElementById(id).classList.toggle("on", id === (big && state.panel === "scene" ? "map" : state.panel));
+  for (const id of ["matrix", "pair"])
+    place(
+      document.getElementById(id),
+      small.matches && mode !== "over" ? left : middle,
+      id === "pair" && !small.matches && mode !== "over" && mode !== "idle" ? events : null,
+    );
   save();
   want();
 }
@@ -87,6 +122,11 @@ function place(node, parent, before = null) {
 /** Nothing unseen is sent. */
 function want() {
   const seen = (node) => !document.hidden && node.offsetParent !== null;
-  const message = { do: "want", images: seen(images), clouds: seen(scene), matrix: seen(document.getElementById("matrix")) || seen(document.getElementById("map")) };
+  const message = {
+    do: "want",
+    images: seen(images),
+    clouds: seen(scene),
+    matrix: seen(document.getElementById("matrix")) || seen(document.getElementById("map")),
+  };
   if (JSON.stringify(message) !== wanted && send(message)) wanted = JSON.stringify(message);
 }

@@ -1,19 +1,62 @@
 // All that the page knows, and who draws what of it. A change is drawn once per frame.
 
-const NO_LIST = { pair: null, points: [], half: null, frozen: false, kept: 0, confirmed: 0, others: [], undo: null, redo: null, words: "" };
+const NO_LIST = {
+  pair: null,
+  points: [],
+  half: null,
+  frozen: false,
+  kept: 0,
+  confirmed: 0,
+  others: [],
+  undo: null,
+  redo: null,
+  words: "",
+};
 const NO_ASSIST = { side: 0, expected: null, suggestion: null, hints: [], wrong: null };
-export const MARKERS = ["#e69f00", "#56b4e9", "#2fbf93", "#f0e442", "#4a9fe0", "#f2844b", "#d98bb8", "#c9c9c9"];
+export const MARKERS = [
+  "#e69f00",
+  "#56b4e9",
+  "#2fbf93",
+  "#f0e442",
+  "#4a9fe0",
+  "#f2844b",
+  "#d98bb8",
+  "#c9c9c9",
+];
 const MOST_EVENTS = 200;
 
 export const state = {
-  welcome: null, names: [], origin: null, step: null, list: NO_LIST, assist: NO_ASSIST, pair: null,
-  questions: [], events: [], notice: null, why: null, health: null, clock: null,
-  matrix: null, poses: null, clouds: new Map(), images: [null, null], cursors: [null, null],
-  active: 0, current: null, mode: "pick", theme: "dark", panel: "map", marksHidden: false, typed: "", dismissed: "",
+  welcome: null,
+  names: [],
+  origin: null,
+  step: null,
+  list: NO_LIST,
+  assist: NO_ASSIST,
+  pair: null,
+  questions: [],
+  events: [],
+  notice: null,
+  why: null,
+  health: null,
+  clock: null,
+  matrix: null,
+  poses: null,
+  clouds: new Map(),
+  images: [null, null],
+  cursors: [null, null],
+  active: 0,
+  current: null,
+  mode: "pick",
+  theme: "dark",
+  panel: "map",
+  marksHidden: false,
+  typed: "",
+  dismissed: "",
   link: { open: false, refused: "", heardAt: performance.now(), healthAt: performance.now(), ping_ms: null },
 };
 
 const watchers = new Map();
+const reactions = new Map();
 const dirty = new Set();
 let frame = 0;
 
@@ -22,8 +65,14 @@ export function watch(topics, draw) {
   for (const topic of topics) watchers.set(topic, [...(watchers.get(topic) ?? []), draw]);
 }
 
+/** Calls `deed` at once when one of the topics changed, before anything else can happen. */
+export function react(topics, deed) {
+  for (const topic of topics) reactions.set(topic, deed);
+}
+
 /** Says that topics changed. */
 export function changed(...topics) {
+  for (const deed of new Set(topics.map((topic) => reactions.get(topic)))) deed?.();
   for (const topic of topics) for (const draw of watchers.get(topic) ?? []) dirty.add(draw);
   if (dirty.size && !frame) frame = requestAnimationFrame(flush);
 }
@@ -44,7 +93,7 @@ export function put(topic, value) {
 export const clearList = () => ({ list: NO_LIST, assist: NO_ASSIST });
 
 /** A robot's name, be it told by name or by index. */
-export const nameOf = (robot) => (typeof robot === "number" ? state.names[robot] ?? "" : robot ?? "");
+export const nameOf = (robot) => (typeof robot === "number" ? (state.names[robot] ?? "") : (robot ?? ""));
 
 /** Names of the selected pair, or null. */
 export const selected = () => (state.list.pair ? state.list.pair.map(nameOf) : null);
@@ -70,7 +119,8 @@ export function broken() {
   return { leg: "server", age: (health.age_s ?? 0) + (performance.now() - link.healthAt) / 1000 };
 }
 
-export const ageText = (seconds) => (Number.isFinite(seconds) ? `${Math.max(1, Math.round(seconds))} s` : "a while");
+export const ageText = (seconds) =>
+  Number.isFinite(seconds) ? `${Math.max(1, Math.round(seconds))} s` : "a while";
 export const lengthText = (m) => {
   if (m === null || m === undefined || !Number.isFinite(m)) return "–";
   if (m >= 10) return `${m.toFixed(0)} m`;

@@ -1,8 +1,8 @@
 // Keys: which command a key is, by the keymap of hmi-client. Tab is taken only while a suggestion is
 // shown, and Esc gives it back, so that nobody is caught in a panel.
 
-import { state, watch, changed, put } from "./store.js";
-import { run, moveCursor, dismissHints } from "./commands.js";
+import { state, watch, changed, put } from "../link/store.js";
+import { run, moveCursor, dismissHints } from "../link/commands.js";
 import { primaryAction } from "./bar.js";
 
 const NAMES = { " ": "space", ArrowUp: "up", ArrowDown: "down", ArrowLeft: "left", ArrowRight: "right" };
@@ -30,9 +30,14 @@ export function keyOf(id) {
 /** Listens to all keys of the page. */
 export function startKeys(places) {
   document.addEventListener("keydown", (e) => pressed(e, places));
-  document.addEventListener("keyup", (e) => { if (e.key.toLowerCase() === "h") hideMarks(false); });
+  document.addEventListener("keyup", (e) => {
+    if (e.key.toLowerCase() === "h") hideMarks(false);
+  });
   window.addEventListener("blur", () => hideMarks(false));
-  watch(["assist"], () => { if (!state.assist.suggestion) released = null; if (!state.assist.hints.length && state.typed) put("typed", ""); });
+  watch(["assist"], () => {
+    if (!state.assist.suggestion) released = null;
+    if (!state.assist.hints.length && state.typed) put("typed", "");
+  });
 }
 
 function hideMarks(hidden) {
@@ -48,11 +53,13 @@ function named(e) {
 
 function pressed(e, places) {
   if (e.ctrlKey || e.metaKey || e.altKey || document.querySelector("dialog[open]")) return;
-  const key = named(e), at = document.activeElement;
+  const key = named(e),
+    at = document.activeElement;
   if (/^(INPUT|SELECT|TEXTAREA)$/.test(at?.tagName)) return;
   if (hinted(e, key)) return;
   const onButton = at?.tagName === "BUTTON" && (key === "enter" || key === "space");
-  const ownKeys = at?.closest("[data-keys]") && (ARROWS[key.replace("shift+", "")] || key === "enter" || key === "space");
+  const ownKeys =
+    at?.closest("[data-keys]") && (ARROWS[key.replace("shift+", "")] || key === "enter" || key === "space");
   if (onButton || ownKeys) return;
   if (taken(key, e, at, places)) e.preventDefault();
 }
@@ -61,7 +68,10 @@ function pressed(e, places) {
 function taken(key, e, at, places) {
   if (key === "escape" && state.assist.suggestion) released = suggestionId();
   if (key.endsWith("tab") && (!state.assist.suggestion || released === suggestionId())) return false;
-  if (key.toLowerCase() === "h") { hideMarks(true); return true; }
+  if (key.toLowerCase() === "h") {
+    hideMarks(true);
+    return true;
+  }
   const place = placeOf(at);
   const arrow = ARROWS[key.replace("shift+", "")];
   if (arrow) return nudge(arrow, e.shiftKey ? 10 : 1, place, places);
@@ -81,7 +91,10 @@ const placeOf = (at) => PLACES[at?.closest("[data-panel]")?.dataset.panel] ?? "i
 function find(key, place) {
   const there = (e) => String(e.place ?? "").toLowerCase();
   const has = (e) => keysOf(e).includes(key);
-  return entries().find((e) => there(e).startsWith(place.slice(0, 3)) && has(e)) ?? entries().find((e) => there(e).startsWith("every") && has(e));
+  return (
+    entries().find((e) => there(e).startsWith(place.slice(0, 3)) && has(e)) ??
+    entries().find((e) => there(e).startsWith("every") && has(e))
+  );
 }
 
 function nudge([dx, dy], step, place, places) {

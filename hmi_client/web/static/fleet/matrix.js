@@ -1,18 +1,32 @@
 // The symmetric matrix of all pairs: a grid of words up to 24 robots, above that a heat map. A line
 // below says in words what the pair under the cursor is.
 
-import { el, say } from "./dom.js";
-import { state, watch, selected, nameOf, lengthText } from "./store.js";
-import { run } from "./commands.js";
+import { el, say } from "../frame/dom.js";
+import { state, watch, selected, nameOf, lengthText } from "../link/store.js";
+import { run } from "../link/commands.js";
 import { HeatMap } from "./heat.js";
 
 const panel = document.getElementById("matrix");
-const grid = panel.querySelector(".grid"), title = panel.querySelector(".title"), limit = panel.querySelector(".limit");
+const grid = panel.querySelector(".grid"),
+  title = panel.querySelector(".title"),
+  limit = panel.querySelector(".limit");
 const readout = document.getElementById("readout");
-const MOST_WORDS = 24, BOLD_SHARE = 0.05;
-export const QUANTITIES = ["rms", "regression", "overlap", "age", "verdict", "grave"];
-const TITLES = { rms: "Errors of pairs", regression: "Errors by the fleet's solution", overlap: "Overlap, %", age: "Age, s", verdict: "Verdicts", grave: "Chance of a grave error, %" };
-let heat = null, cursor = [0, 1], built = "", cells = [];
+const MOST_WORDS = 24,
+  BOLD_SHARE = 0.05;
+export const QUANTITIES = ["rms", "sigma", "regression", "overlap", "age", "verdict", "grave"];
+const TITLES = {
+  rms: "Errors of pairs",
+  sigma: "Sigma of poses",
+  regression: "Errors by the fleet's solution",
+  overlap: "Overlap, %",
+  age: "Age, s",
+  verdict: "Verdicts",
+  grave: "Chance of a grave error, %",
+};
+let heat = null,
+  cursor = [0, 1],
+  built = "",
+  cells = [];
 
 /** Draws on each change; gives `step(dx, dy)` for the arrows. */
 export function startMatrix() {
@@ -29,7 +43,8 @@ function draw() {
   const key = `${words}${names.join()}`;
   if (key !== built) build(key, words);
   const chosen = selected()?.map((name) => names.indexOf(name)) ?? null;
-  if (chosen && String(chosen) !== panel.dataset.pair && !panel.contains(document.activeElement)) cursor = chosen;
+  if (chosen && String(chosen) !== panel.dataset.pair && !panel.contains(document.activeElement))
+    cursor = chosen;
   panel.dataset.pair = String(chosen);
   say(title, heading());
   say(limit, state.list.threshold_m ? `- above ${lengthText(state.list.threshold_m)}` : "");
@@ -41,7 +56,7 @@ function draw() {
 const quantity = () => QUANTITIES[state.matrix.quantity] ?? "rms";
 
 function isError() {
-  return ["rms", "regression"].includes(quantity());
+  return ["rms", "sigma", "regression"].includes(quantity());
 }
 
 /** Centimetres while every shown error is below a metre. */
@@ -69,18 +84,36 @@ function table() {
   body.dataset.keys = "own";
   body.append(el("tr", "", el("td"), ...names.map((name) => head(name, "col"))));
   names.forEach((name, a) => {
-    const row = names.map((_, b) => { const cell = el("td"); cell.setAttribute("role", "gridcell"); cell.dataset.at = `${a},${b}`; return cell; });
+    const row = names.map((_, b) => {
+      const cell = el("td");
+      cell.setAttribute("role", "gridcell");
+      cell.dataset.at = `${a},${b}`;
+      return cell;
+    });
     cells.push(row);
     body.append(el("tr", "", head(name, "row"), ...row));
   });
-  body.addEventListener("click", (e) => { const at = e.target.closest("[data-at]")?.dataset.at; if (at) { cursor = at.split(",").map(Number); choose(...cursor); } });
-  body.addEventListener("pointerover", (e) => { const at = e.target.closest("[data-at]")?.dataset.at; if (at) tell(at.split(",").map(Number)); });
+  body.addEventListener("click", (e) => {
+    const at = e.target.closest("[data-at]")?.dataset.at;
+    if (at) {
+      cursor = at.split(",").map(Number);
+      choose(...cursor);
+    }
+  });
+  body.addEventListener("pointerover", (e) => {
+    const at = e.target.closest("[data-at]")?.dataset.at;
+    if (at) tell(at.split(",").map(Number));
+  });
   body.addEventListener("pointerleave", () => tell());
   body.addEventListener("keydown", gridKey);
   return body;
 }
 
-const head = (name, scope) => { const node = el("th", "", name); node.scope = scope; return node; };
+const head = (name, scope) => {
+  const node = el("th", "", name);
+  node.scope = scope;
+  return node;
+};
 
 function gridKey(e) {
   const way = { ArrowUp: [0, -1], ArrowDown: [0, 1], ArrowLeft: [-1, 0], ArrowRight: [1, 0] }[e.key];
@@ -108,21 +141,29 @@ function number(value, inMetres) {
 /** The largest errors are bold: above this value. */
 function boldFrom() {
   const { values, states } = state.matrix;
-  const shown = [...values].filter((v, k) => (states[k] & 3) === 2 && !(states[k] & 128) && !Number.isNaN(v)).sort((a, b) => b - a);
+  const shown = [...values]
+    .filter((v, k) => (states[k] & 3) === 2 && !(states[k] & 128) && !Number.isNaN(v))
+    .sort((a, b) => b - a);
   return shown[Math.max(1, Math.floor(BOLD_SHARE * shown.length)) - 1] ?? Infinity;
 }
 
 function fill(chosen) {
-  const { matrix } = state, bold = isError() ? boldFrom() : Infinity, metres = unit() === "m";
-  grid.firstChild.querySelectorAll("th").forEach((node, k) => node.classList.toggle("red", !!chosen?.includes(k % state.names.length)));
-  cells.forEach((row, a) => row.forEach((node, b) => {
-    const cell = a === b ? null : matrix.at(a, b);
-    const [text, classes, doubt] = cell ? cellText(cell, cell.value >= bold, metres) : ["╲", "self", ""];
-    const red = chosen && a !== b && chosen.includes(a) && chosen.includes(b);
-    const now = `${text}|${classes}|${doubt}|${red}|${cell?.clicked}|${cell?.asked}`;
-    if (node.dataset.words !== now) paintCell(node, now, text, classes, doubt, red, cell);
-    node.tabIndex = a === cursor[0] && b === cursor[1] ? 0 : -1;
-  }));
+  const { matrix } = state,
+    bold = isError() ? boldFrom() : Infinity,
+    metres = unit() === "m";
+  grid.firstChild
+    .querySelectorAll("th")
+    .forEach((node, k) => node.classList.toggle("red", !!chosen?.includes(k % state.names.length)));
+  cells.forEach((row, a) =>
+    row.forEach((node, b) => {
+      const cell = a === b ? null : matrix.at(a, b);
+      const [text, classes, doubt] = cell ? cellText(cell, cell.value >= bold, metres) : ["╲", "self", ""];
+      const red = chosen && a !== b && chosen.includes(a) && chosen.includes(b);
+      const now = `${text}|${classes}|${doubt}|${red}|${cell?.clicked}|${cell?.asked}`;
+      if (node.dataset.words !== now) paintCell(node, now, text, classes, doubt, red, cell);
+      node.tabIndex = a === cursor[0] && b === cursor[1] ? 0 : -1;
+    }),
+  );
 }
 
 function paintCell(node, now, text, classes, doubt, red, cell) {
@@ -133,7 +174,8 @@ function paintCell(node, now, text, classes, doubt, red, cell) {
 
 /** Moves the cursor of grid or heat map. */
 function step(dx, dy) {
-  const n = state.names.length, clamp = (x) => Math.min(Math.max(x, 0), n - 1);
+  const n = state.names.length,
+    clamp = (x) => Math.min(Math.max(x, 0), n - 1);
   if (n < 2) return false;
   cursor = [clamp(cursor[0] + dy), clamp(cursor[1] + dx)];
   draw();
@@ -154,12 +196,13 @@ function hover(at) {
 /** The pair in words: "r3 – r8  1.24 m (hidden), ambiguous". */
 function tell(at) {
   const chosen = selected()?.map((name) => state.names.indexOf(name));
-  const [a, b] = at ?? (panel.contains(document.activeElement) ? cursor : chosen ?? cursor);
+  const [a, b] = at ?? (panel.contains(document.activeElement) ? cursor : (chosen ?? cursor));
   if (a === b || !state.matrix || a >= state.matrix.n || b >= state.matrix.n || a < 0 || b < 0) return;
-  const pair = `${nameOf(Math.min(a, b))} – ${nameOf(Math.max(a, b))}`, text = ` ${cellWords(state.matrix.at(a, b))}`;
-  if (readout.dataset.words === pair + text) return;
-  readout.dataset.words = pair + text;
-  const own = chosen && chosen.includes(a) && chosen.includes(b);
+  const pair = `${nameOf(Math.min(a, b))} – ${nameOf(Math.max(a, b))}`,
+    text = ` ${cellWords(state.matrix.at(a, b))}`;
+  const own = !!chosen?.includes(a) && chosen.includes(b);
+  if (readout.dataset.words === pair + text + own) return;
+  readout.dataset.words = pair + text + own;
   readout.replaceChildren(el("b", own ? "red" : "", pair), text);
   if (panel.classList.contains("heat")) heat.element.setAttribute("aria-label", pair + text);
 }
@@ -167,6 +210,17 @@ function tell(at) {
 function cellWords(cell) {
   const words = { unknown: "never tried", known: "known only through others" }[cell.state];
   if (words) return `${words}${cell.asked ? ", asked" : ""}`;
-  const value = Number.isNaN(cell.value) ? "no value" : isError() ? lengthText(cell.value) : `${TITLES[quantity()].toLowerCase()} ${number(cell.value)}`;
-  return [`${value}${cell.hidden ? " (hidden)" : ""}`, cell.verdict, cell.clicked ? "has clicks" : "", cell.asked ? "asked" : ""].filter(Boolean).join(", ");
+  const value = Number.isNaN(cell.value)
+    ? "no value"
+    : isError()
+      ? lengthText(cell.value)
+      : `${TITLES[quantity()].toLowerCase()} ${number(cell.value)}`;
+  return [
+    `${value}${cell.hidden ? " (hidden)" : ""}`,
+    cell.verdict,
+    cell.clicked ? "has clicks" : "",
+    cell.asked ? "asked" : "",
+  ]
+    .filter(Boolean)
+    .join(", ");
 }

@@ -2,15 +2,22 @@
 // worth knowing, and what the server confirmed. And the clock of a recording.
 
 import { el, button, say } from "./dom.js";
-import { state, watch, broken, nameOf, selected, ageText } from "./store.js";
+import { state, watch, broken, nameOf, selected, ageText } from "../link/store.js";
 import { missing, listed, plural } from "./steps.js";
 import { keyOf } from "./keys.js";
-import { send } from "./socket.js";
+import { send } from "../link/socket.js";
 
 const byId = (id) => document.getElementById(id);
 const foot = document.querySelector("footer");
 const NOTICE_MS = 8000;
-const HINTS = [["next", "next question"], ["accept", "suggestion"], ["maximise", "images only"], ["overview", "overview"], ["undo", "take back"], ["help", "all keys"]];
+const HINTS = [
+  ["next", "next question"],
+  ["accept", "suggestion"],
+  ["maximise", "images only"],
+  ["overview", "overview"],
+  ["undo", "take back"],
+  ["help", "all keys"],
+];
 
 /** Draws on every change and once a second. */
 export function startFrame() {
@@ -24,7 +31,8 @@ export const clockText = (ms) => new Date(ms).toTimeString().slice(0, 8);
 
 function drawHead() {
   const { health, names, welcome, list } = state;
-  const n = health?.robots ?? names.length, located = health?.located ?? names.length - missing().length;
+  const n = health?.robots ?? names.length,
+    located = health?.located ?? names.length - missing().length;
   const lost = missing();
   const parts = n ? [el("span", "good", `● ${located} of ${n} located`)] : [];
   if (lost.length) parts.push(el("span", "apart", `◌ ${listed(lost, 4)} not joined`));
@@ -41,24 +49,37 @@ const person = (text, at, name = text) => el("span", "person", el("i", "", name.
 
 /** Replaces children only where their words changed. */
 function fill(id, children) {
-  const node = byId(id), now = children.map((c) => c.textContent).join("|");
+  const node = byId(id),
+    now = children.map((c) => c.textContent).join("|");
   if (node.dataset.words === now) return;
   node.dataset.words = now;
   node.replaceChildren(...children);
 }
 
 function drawLink() {
-  const gone = broken(), { health } = state, node = byId("link");
+  const gone = broken(),
+    { health } = state,
+    node = byId("link");
   const slow = health?.server === "slow";
   node.classList.toggle("bad", !!gone || slow);
-  const ok = health ? `${slow ? "Slow" : "Live"} · server ${(health.age_s ?? 0).toFixed(1)} s` : "Connecting …";
-  say(node.querySelector("span"), gone ? (gone.leg === "page" ? `No connection, ${ageText(gone.age)}` : `No server, ${ageText(gone.age)}`) : ok);
+  const ok = health
+    ? `${slow ? "Slow" : "Live"} · server ${(health.age_s ?? 0).toFixed(1)} s`
+    : "Connecting …";
+  say(
+    node.querySelector("span"),
+    gone
+      ? gone.leg === "page"
+        ? `No connection, ${ageText(gone.age)}`
+        : `No server, ${ageText(gone.age)}`
+      : ok,
+  );
   byId("main").classList.toggle("stale", !!gone);
   for (const stamp of document.querySelectorAll(".stamp")) say(stamp, gone ? `${ageText(gone.age)} old` : "");
 }
 
 function drawFoot() {
-  const event = state.events[0], notice = state.notice;
+  const event = state.events[0],
+    notice = state.notice;
   say(foot.querySelector(".event"), event ? `${clockText(event.at_ms)}  ${event.text}` : "");
   say(byId("notice"), notice && performance.now() - notice.at < NOTICE_MS ? notice.text : "");
   const keys = HINTS.map(([id, label]) => [keyOf(id), label, id]).filter(([key]) => key);
@@ -66,20 +87,42 @@ function drawFoot() {
   const box = foot.querySelector(".keys");
   if (box.dataset.words !== words) {
     box.dataset.words = words;
-    box.replaceChildren(...keys.map(([key, label, id]) => el("span", "", el("kbd", "", key), id === "undo" && state.list.undo ? ` take back: ${state.list.undo}` : ` ${label}`)));
+    box.replaceChildren(
+      ...keys.map(([key, label, id]) =>
+        el(
+          "span",
+          "",
+          el("kbd", "", key),
+          id === "undo" && state.list.undo ? ` take back: ${state.list.undo}` : ` ${label}`,
+        ),
+      ),
+    );
   }
   drawKept();
 }
 
 function drawKept() {
-  const { health, list } = state, node = foot.querySelector(".kept");
-  const waiting = health?.unconfirmed ?? 0, confirmed = health?.confirmed ?? list.confirmed;
+  const { health, list } = state,
+    node = foot.querySelector(".kept");
+  const waiting = health?.unconfirmed ?? 0,
+    confirmed = health?.confirmed ?? list.confirmed;
   node.classList.toggle("wait", waiting > 0);
-  say(node, waiting ? `◔ ${plural(waiting, "click")} not confirmed yet` : confirmed ? `✓ all ${plural(confirmed, "click")} confirmed` : "nothing sent yet");
+  say(
+    node,
+    waiting
+      ? `◔ ${plural(waiting, "click")} not confirmed yet`
+      : confirmed
+        ? `✓ all ${plural(confirmed, "click")} confirmed`
+        : "nothing sent yet",
+  );
 }
 
 function drawEvents() {
-  const items = state.events.slice(0, 30).map((event) => el("li", event.tone ?? "", el("time", "", clockText(event.at_ms)), el("span", "", event.text)));
+  const items = state.events
+    .slice(0, 30)
+    .map((event) =>
+      el("li", event.tone ?? "", el("time", "", clockText(event.at_ms)), el("span", "", event.text)),
+    );
   const list = document.querySelector("#events ol");
   if (list.dataset.first === String(items.length) + state.events[0]?.text) return;
   list.dataset.first = String(items.length) + state.events[0]?.text;
@@ -87,22 +130,41 @@ function drawEvents() {
 }
 
 function drawClock() {
-  const { clock } = state, box = byId("clock");
+  const { clock } = state,
+    box = byId("clock");
   box.hidden = !clock;
   if (!clock) return;
   if (!box.firstChild) buildClock(box);
   const [play, seek, , text] = box.children;
   say(play, clock.paused ? "Play" : "Pause");
-  if (document.activeElement !== seek) { seek.max = clock.of_s; seek.value = clock.s; }
+  if (document.activeElement !== seek) {
+    seek.max = clock.of_s;
+    seek.value = clock.s;
+  }
   say(text, `${clock.s.toFixed(1)} of ${clock.of_s.toFixed(1)} s`);
 }
 
 function buildClock(box) {
-  const seek = el("input", "seek"), speed = el("select", "speed", ...[0.25, 0.5, 1, 2, 4, 8].map((x) => Object.assign(el("option", "", `${x}×`), { value: x, selected: x === 1 })));
+  const seek = el("input", "seek"),
+    speed = el(
+      "select",
+      "speed",
+      ...[0.25, 0.5, 1, 2, 4, 8].map((x) =>
+        Object.assign(el("option", "", `${x}×`), { value: x, selected: x === 1 }),
+      ),
+    );
   Object.assign(seek, { type: "range", min: 0, step: 0.1 });
   seek.setAttribute("aria-label", "Time of the recording");
   speed.setAttribute("aria-label", "Speed");
-  seek.addEventListener("change", () => { send({ do: "seek", s: Number(seek.value) }); seek.blur(); });
+  seek.addEventListener("change", () => {
+    send({ do: "seek", s: Number(seek.value) });
+    seek.blur();
+  });
   speed.addEventListener("change", () => send({ do: "speed", value: Number(speed.value) }));
-  box.append(button("button", "Play", "", () => send({ do: "play", paused: !state.clock.paused })), seek, speed, el("span", "dim"));
+  box.append(
+    button("button", "Play", "", () => send({ do: "play", paused: !state.clock.paused })),
+    seek,
+    speed,
+    el("span", "dim"),
+  );
 }

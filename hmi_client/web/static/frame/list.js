@@ -1,0 +1,214 @@
+// The list of points, of which only the visible rows exist; the verdict above it; and, where no pair
+// is selected, the questions.
+
+import { el, button, say } from "./dom.js";
+import { state, watch, changed, selected, markerColour, lengthText, nameOf, broken } from "../link/store.js";
+import { isBad } from "../images/marks.js";
+import { run } from "../link/commands.js";
+import { keyOf } from "./keys.js";
+import { toPoint } from "../images/cursors.js";
+import { plural } from "./steps.js";
+
+const panel = document.getElementById("pair");
+const [title, count, verdict, rows] = ["h2 .title", ".count", ".verdict", ".rows"].map((s) =>
+  panel.querySelector(s),
+);
+const SPARE = 4; // rows beyond each end of what is visible
+const touch = matchMedia("(max-width: 1240px)");
+let byResidual = false;
+
+/** Draws the panel on each change, its rows also on scrolling. */
+export function startList() {
+  watch(["list", "pair", "questions", "assist", "names", "mode", "link", "welcome", "why"], draw);
+  rows.addEventListener("scroll", () => drawRows(), { passive: true });
+  new ResizeObserver(() => drawRows()).observe(rows);
+}
+
+function draw() {
+  const names = selected();
+  const questions = !names || state.mode === "over";
+  panel.classList.toggle("questions", questions);
+  say(
+    title,
+    questions
+      ? state.mode === "over"
+        ? "Questions, the most useful first"
+        : "No pair is selected"
+      : `${names[0]} – ${names[1]}`,
+  );
+  title.classList.toggle("red", !questions);
+  say(
+    count,
+    questions ? (state.mode === "over" ? "gain per click" : "") : plural(state.list.points.length, "point"),
+  );
+  if (questions) drawQuestions();
+  else {
+    drawVerdict();
+    drawRows();
+  }
+}
+
+function drawVerdict() {
+  const told = state.pair,
+    names = selected();
+  const same = told && [told.i, told.j].map(nameOf).every((name, k) => name === names[k]);
+  const chip = same && told.verdict ? el("span", `chip ${told.verdict}`, told.verdict) : null;
+  const numbers = same
+    ? [
+        told.sigma_cm != null ? `known to ${lengthText(told.sigma_cm / 100)}` : "",
+        told.overlap != null ? `overlap ${Math.round(100 * told.overlap)} %` : "",
+      ]
+        .filter(Boolean)
+        .join(" · ")
+    : "";
+  const others = (state.list.others ?? []).map(nameOf);
+  const lines = [
+    numbers,
+    state.list.words === told?.sentence ? "" : state.list.words,
+    others.length ? `${others.join(" and ")} ${others.length === 1 ? "is" : "are"} here too` : "",
+  ].filter(Boolean);
+  verdict.replaceChildren(
+    el("div", "head", chip, el("span", "", same ? (told.sentence ?? "") : "")),
+    el("ul", "", ...lines.map((line) => el("li", "", line))),
+  );
+}
+
+function drawQuestions() {
+  verdict.replaceChildren(
+    state.mode === "over"
+      ? ""
+      : el(
+          "p",
+          "dim",
+          state.questions.length
+            ? "These pairs would help most:"
+            : "Nothing is asked. Select any cell of the matrix to look at two images.",
+        ),
+  );
+  rows.replaceChildren(...state.questions.map((q, k) => questionRow(q, k)));
+}
+
+function questionRow(q, k) {
+  const names = selected() ?? [];
+  const here = names.includes(nameOf(q.i)) && names.includes(nameOf(q.j));
+  const row = el(
+    "button",
+    `question${here ? " current" : ""}`,
+    el("span", "dim", `${k + 1}`),
+    el("b", "", `${nameOf(q.i)} – ${nameOf(q.j)}`),
+    el("span", "dim", q.why ?? ""),
+    el("b", "number", q.gain ? lengthText(q.gain) : ""),
+  );
+  row.addEventListener("click", () => {
+    if (state.mode === "over") run("overview");
+    run("select", { a: nameOf(q.i), b: nameOf(q.j) });
+  });
+  return row;
+}
+
+const rowHeight = () => (touch.matches ? 48 : 36);
+const moreHeight = () => (touch.matches ? 56 : 40);
+
+function sorted() {
+  const points = [...state.list.points];
+  return byResidual ? points.sort((a, b) => (b.residual_m ?? -1) - (a.residual_m ?? -1)) : points;
+}
+
+function drawRows() {
+  if (!selected() || state.mode === "over") return;
+  const points = sorted(),
+    h = rowHeight();
+  const open = points.findIndex((p) => p.id === (state.assist.wrong?.id ?? state.current));
+  const extra = (k) => (open >= 0 && k > open ? moreHeight() : 0);
+  const first = Math.max(0, Math.floor((rows.scrollTop - moreHeight()) / h) - SPARE),
+    last = Math.min(points.length, Math.ceil((rows.scrollTop + rows.clientHeight) / h) + SPARE);
+  const space = el("div", "space");
+  space.style.height = `${points.length * h + (open >= 0 ? moreHeight() : 0)}px`;
+  points.slice(first, last).forEach((point, k) => {
+    const row = pointRow(point, first + k === open);
+    row.style.top = `${(first + k) * h + extra(first + k)}px`;
+    space.append(row);
+  });
+  const focused = rows.contains(document.activeElement)
+    ? document.activeElement.closest(".row")?.dataset.id
+    : null;
+  rows.replaceChildren(heading(), space);
+  if (focused)
+    space.querySelector(`[data-id="${CSS.escape(focused)}"] .fields`)?.focus({ preventScroll: true });
+}
+
+function heading() {
+  const sort = button("sort", byResidual ? "off by ▾" : "off by", "", () => {
+    byResidual = !byResidual;
+    drawRows();
+  });
+  sort.setAttribute("aria-label", byResidual ? "Sorted by error; sort by number" : "Sort by error");
+  return el("div", "heads", el("span"), el("span", "", "your points"), sort, el("span", "pixels", "by"));
+}
+
+const SAYS = {
+  half: "half: missing in the other image",
+  pending: "sent, not confirmed yet",
+  confirmed: "fits",
+  unused: "not used",
+  outlier: "does not fit the others",
+  rejected: "refused",
+};
+
+function words(point) {
+  if (point.other_view) return "clicked in another view";
+  if (point.status === "half") return `half: missing in ${selected()[point.pi ? 1 : 0]}`;
+  if (point.status === "pending" && broken()) return "kept here, not confirmed";
+  if (point.reason && point.status !== "confirmed")
+    return point.status === "outlier" ? SAYS.outlier : `${SAYS[point.status]}: ${point.reason}`;
+  return SAYS[point.status] ?? point.status;
+}
+
+function pointRow(point, open) {
+  const bad = isBad(point);
+  const pill = el("span", "pill", `${point.n}${bad ? "!" : ""}`);
+  pill.style.background = bad ? "var(--out-mark)" : markerColour(point.n);
+  const fields = el(
+    "button",
+    "fields",
+    pill,
+    el("span", `say ${point.status}`, el("span", "words", words(point)), share(point)),
+    el("span", "number", lengthText(point.residual_m)),
+    el("span", "pixels", point.by ?? ""),
+  );
+  fields.addEventListener("click", () => {
+    toPoint(point.id);
+    state.current = point.id;
+    changed("list");
+  });
+  const row = el(
+    "div",
+    `row${bad ? " bad" : ""}${point.status === "half" || open ? " current" : ""}`,
+    fields,
+    open && point.id !== null ? deeds(point) : null,
+  );
+  row.dataset.id = point.id;
+  row.title = point.reason ?? "";
+  return row;
+}
+
+/** The error as a bar: full at 20 cm. */
+function share(point) {
+  if (point.residual_m === null || point.residual_m === undefined) return null;
+  const fill = el("i");
+  fill.style.width = `${Math.min(98, (100 * point.residual_m) / 0.2)}%`;
+  return el("span", "share", fill);
+}
+
+function deeds(point) {
+  const { wrong } = state.assist;
+  const move =
+    wrong?.id === point.id && wrong.fits
+      ? button("small primary", "Move to ◇", keyOf("move"), () =>
+          run("move", { id: point.id, side: wrong.side, pixel: wrong.fits }),
+        )
+      : null;
+  const erase = button("small", "Erase", keyOf("erase"), () => run("erase", { id: point.id }));
+  const show = button("small", "Show", keyOf("show"), () => run("show", { id: point.id }));
+  return el("div", "deeds", move, erase, show);
+}
