@@ -85,6 +85,7 @@ def step(desk: Desk) -> Step:
         or _not_kept(desk, pair)
         or _half_picked(desk, pair)
         or _suggested(desk)
+        or _refused(desk)
         or _contradicted(desk, pair)
         or _answered(desk, pair)
         or _to_pick(desk, pair)
@@ -130,11 +131,13 @@ def _without_image(desk: Desk, pair: Pair) -> Step | None:
     go_on = (_act(desk, "next", "next question", primary=True), _act(desk, "why", "why"))
     ended = [robot for robot in missing if not _is_alive(desk, robot)]
     if ended:
-        title = f"{' and '.join(ended)} has ended: no image of it comes any more"
-        return Step("warn", title, ("start its agent, or answer another question",), go_on)
+        title = f"{' and '.join(ended)} ended: no image comes any more"
+        facts = ("start its agent, or answer another question", *_context(desk))
+        return Step("warn", title, facts, go_on)
     notices = [notice for robot in missing if (notice := session.picture_notice(robot))]
     if notices:
-        return Step("wait", "; ".join(notices), _context(desk), go_on)
+        title = "; ".join(notices)
+        return Step("wait", title[0].upper() + title[1:], _context(desk), go_on)
     title = f"Waiting for the image of {' and '.join(missing)}"
     long = session.seconds_selected > _LONG_S
     facts = (f"asked for it {session.seconds_selected:.0f} s ago",) if long else _context(desk)
@@ -226,6 +229,18 @@ def _progress(desk: Desk) -> tuple[str, ...]:
 # ---- what came of it -----------------------------------------------------------------------------
 
 
+def _refused(desk: Desk) -> Step | None:
+    """A point that the server did not take."""
+    entries = desk.session.entries()
+    refused = [(n, e) for n, e in enumerate(entries, start=1) if e.status == "rejected"]
+    if not refused:
+        return None
+    number, entry = refused[-1]
+    actions = (_act(desk, "pick", "picks another", primary=True), _act(desk, "cancel", "clears it"))
+    title = f"Point {number} was refused: {plain(entry.note)}"
+    return Step("warn", title, _progress(desk) + _context(desk), actions)
+
+
 def _contradicted(desk: Desk, pair: Pair) -> Step | None:
     entries = desk.session.entries()
     wrong = desk.wrong()
@@ -295,7 +310,8 @@ def _question(desk: Desk) -> Question | None:
 
 
 def _why(question: Question) -> tuple[str, ...]:
-    return tuple(sentences(plain(question.reason)))
+    first, *rest = sentences(plain(question.reason)) or [""]
+    return (*((f"asked: {first}",) if first else ()), *rest)
 
 
 def _context(desk: Desk) -> tuple[str, ...]:

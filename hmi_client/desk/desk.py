@@ -109,8 +109,11 @@ class Desk(DeskState):
             seen: the picture that the operator has before the eyes.
         """
         here = self._turn(side)
+        size = self.size(here)
+        if size is None:
+            raise OperatorError("there is no image yet to put labels on")
         self.session.hold_still(seen)
-        width, height = self.size(here) or (640, 480)
+        width, height = size
         least = (width / 30, height / 20) if apart is None else _pixel(apart)
         left, top, right, bottom = (0, 0, width, height) if within is None else _numbers(within, 4)
 

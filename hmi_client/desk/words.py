@@ -159,9 +159,11 @@ def located_text(session: OperatorSession) -> str:
     """How many robots are located."""
     poses, robots = session.poses(), session.robots()
     located = sum(pose.located for pose in poses.values())
+    if not robots:
+        return "no robot is known yet"
     if located == len(robots):
-        return f"all {located} robots are located"
-    return f"{located} of {len(robots)} robots are located"
+        return f"all {located} robots are located" if located > 1 else f"{robots[0]} is located"
+    return f"{located} of {count_text(len(robots), 'robot')} located"
 
 
 def site_text(session: OperatorSession) -> str:
@@ -186,6 +188,26 @@ def own_points(session: OperatorSession) -> int:
     """How many points of this operator the server holds."""
     sets = session.sets().values()
     return sum(c.operator == session.operator for known in sets for c in known.items)
+
+
+def farewell(session: OperatorSession, done: Mapping[str, int]) -> str:
+    """A line of what was done, for the end.
+
+    Args:
+        session: the operator's.
+        done: how often, by the word for it: picked, erased, moved, took back.
+    """
+    points = count_text(done.get("picked", 0), "point")
+    parts = [f"{points} picked" if done.get("picked") else "nothing picked"]
+    parts += [f"{done[what]} {what}" for what in ("erased", "moved", "took back") if done.get(what)]
+    waiting = session.unconfirmed
+    if waiting:
+        parts.append(f"{waiting} not confirmed, kept to be sent next time")
+    elif done.get("picked"):
+        parts.append("all confirmed")
+    joined = {r for a in (session.fleet.answered if session.fleet else ()) for r in a.joined}
+    parts += [f"{', '.join(sorted(joined))} joined"] if joined and done.get("picked") else []
+    return f"{session.operator}: {', '.join(parts)}; {located_text(session)}"
 
 
 def confirmation(session: OperatorSession) -> str:

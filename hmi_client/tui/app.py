@@ -9,6 +9,7 @@ from textual.driver import Driver
 
 from fleetpose.hmi_client.desk.desk import Desk
 from fleetpose.hmi_client.desk.keymap import KeyMap, of_place
+from fleetpose.hmi_client.desk.words import farewell
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.tui import bindings
 from fleetpose.hmi_client.tui.drawing import palette
@@ -116,6 +117,17 @@ class FleetApp(App[None]):
         self.set_keymap(bindings.changed_keys(self.keymap))
         self.view.give_keys(self.matrix)
         self.set_interval(self._period_s, self.tick)
+
+    def on_unmount(self) -> None:
+        for view in self.views.values():
+            view.desk.close()
+
+    def farewell(self) -> tuple[str, ...]:
+        """A line per site of what was done there."""
+        desks = {site: view.desk for site, view in self.views.items()}
+        lines = {site: farewell(desk.session, desk.done) for site, desk in desks.items()}
+        several = len(lines) > 1
+        return tuple(f"{site}: {text}" if several else text for site, text in lines.items())
 
     def on_resize(self) -> None:
         if isinstance(self._driver, PatientDriver):

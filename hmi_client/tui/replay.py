@@ -74,6 +74,7 @@ class ReplayApp(FleetApp):
         self._thread.start()
 
     def on_unmount(self) -> None:
+        super().on_unmount()
         self._stop.set()
         self._thread.join(timeout=5.0)
 

@@ -72,6 +72,7 @@ def run_screen(
         )
         palette.has(app.console.color_system)
         app.run()
+    print("\n".join(app.farewell()))
     if recorder is not None:
         print(recorder.report())
 

@@ -5,6 +5,7 @@ import json
 import subprocess
 import sys
 import threading
+from datetime import datetime
 
 import hmi_fakes
 import hmi_server
@@ -206,7 +207,13 @@ def test_watch_prints_json_lines_of_what_changes(hmi, serve):
     poses = [r for r in records if r["type"] == "pose"]
     assert [r["robot"] for r in poses] == ["r1", "r2", "r3", "r4", "r5"]  # unchanged: told once
     assert poses[0]["located"] and not poses[4]["located"]
-    assert {"type": "event", "text": "fleet solved with 4 robots"} in records
+    told = [{k: v for k, v in record.items() if k != "at"} for record in records]
+    assert {"type": "event", "text": "fleet solved with 4 robots"} in told
+    assert [(r["i"], r["j"]) for r in told if r["type"] == "question"] == [
+        ("r5", "r6"),
+        ("r1", "r2"),
+    ]
+    assert all(datetime.fromisoformat(record["at"]).tzinfo for record in records)
 
 
 def test_without_a_server_the_exit_code_is_3_and_a_sentence_says_so(hmi):

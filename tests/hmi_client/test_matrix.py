@@ -106,15 +106,8 @@ def test_lengths_carry_their_unit():
 def test_every_quantity_says_what_the_cell_holds(quantity):
     cell = tried("r1", "r2", 0.05, overlap=0.5, age_s=7.2, regression_error_m2=1.25, p_grave=0.12)
     shown = matrix_of(fleet(4, pairs=(cell,)), 1.0, quantity).at("r1", "r2").text
-    words = {
-        "rms": "5.0",
-        "sigma": "2.8",
-        "regression": "1.2",
-        "overlap": "50",
-        "age": "7",
-        "verdict": "veri",
-    }
-    words["grave"] = "12"
+    words = {"rms": "5.0", "sigma": "2.8", "regression": "1.2", "overlap": "50", "age": "7"}
+    words |= {"verdict": "sure", "grave": "12"}
     assert shown == words[quantity] and title_of(quantity, "cm")
 
 

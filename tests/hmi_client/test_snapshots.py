@@ -78,7 +78,7 @@ def unconfirmed(session, _):
 
 def silent(session, clock):
     unconfirmed(session, clock)
-    clock.now += 4.0
+    clock.now += 9.0
 
 
 def suggested(session, _):
@@ -120,13 +120,13 @@ STATES = {
     "suggestion": State(images=True, change=suggested, keys=("tab",)),
     "unreadable-image": State(images=True, change=unreadable),
     "maximised": State(images=True, keys=("m",)),
-    "overlap-in-the-matrix": State(keys=("t", "t")),
-    "doubt-in-the-matrix": State(change=doubted, keys=("t",) * 5),
+    "overlap-in-the-matrix": State(keys=("t",) * 3),
+    "doubt-in-the-matrix": State(change=doubted, keys=("t",) * 6),
     "help": State(keys=("question_mark",)),
     "events": State(keys=("l",)),
     "why": State(images=True, keys=("y",)),
     "narrow": State(images=True, change=outlier, size=(100, 30)),
-    "narrow-maximised": State(images=True, change=outlier, keys=("m",), size=(100, 30)),
+    "narrow-all-panels": State(images=True, change=outlier, keys=("m",), size=(100, 30)),
     "tiny": State(images=True, size=(60, 20)),
 }
 

@@ -294,13 +294,13 @@ class ImagePanel(Panel):
 
     def _go(self) -> None:
         """Labels appear over places that are in sight, so far apart that they can be read."""
-        if self._window is None:
+        window = self._window
+        if window is None:
+            self._do("go", side=self.side)
             return
-        window, px = self._window, self._window.px_per_half
-        left, top = window.left - 0.5, window.top - 0.5
-        right = left + (window.columns - 1) * px
-        within = (left, top, right, top + 2 * window.rows * px)
-        apart = (4 * px, 4 * px)
+        left, top, px = window.left - 0.5, window.top - 0.5, window.px_per_half
+        right, bottom = left + (window.columns - 1) * px, top + 2 * window.rows * px
+        within, apart = (left, top, right, bottom), (4 * px, 4 * px)
         self._do("go", side=self.side, apart=apart, within=within, seen=self._picture)
 
     # ---- labels ----------------------------------------------------------------------------------
