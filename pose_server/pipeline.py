@@ -76,11 +76,14 @@ def receive_view(site: Site, view: KeptView) -> None:
             site.want_solution()
 
 
-def refuse_view(site: Site, name: str, reason: str) -> None:
+def refuse_view(site: Site, name: str, error: CodecError) -> None:
     """A view of a robot cannot be used; why is told where its robot is asked about."""
     robot = site.robots.get(name)
-    if robot is not None:
-        robot.refuse(reason)
+    if robot is None:
+        return
+    robot.refuse(str(error))
+    if isinstance(error, NoDepthError):
+        note_without_depth(site, robot)
 
 
 def receive_denials(site: Site, denials: Denials) -> None:

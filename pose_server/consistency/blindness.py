@@ -33,7 +33,19 @@ def note_blind(site: Site, robot: Robot, view: KeptView) -> None:
         "lens dark or covered, is an eye frozen, has a camera moved (robot-agent calibrate-check), "
         "or is there only a blank wall?"
     )
-    is_blind = view.depth_points < max(LEAST_POINTS, _LEFT * usual)
+    _note(site, robot, text, is_blind=view.depth_points < max(LEAST_POINTS, _LEFT * usual))
+
+
+def note_without_depth(site: Site, robot: Robot) -> None:
+    """Notes that a robot's newest view was refused for having no depth to speak of."""
+    text = (
+        f"{robot.name} sees nothing that has depth, and its views are refused for it: is a lens "
+        "dark or covered, is an eye frozen?"
+    )
+    _note(site, robot, text, is_blind=True)
+
+
+def _note(site: Site, robot: Robot, text: str, *, is_blind: bool) -> None:
     if is_blind != bool(robot.blind):
         said = text if is_blind else f"{robot.name} sees enough that has depth again"
         site.say(said)

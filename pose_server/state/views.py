@@ -107,7 +107,7 @@ def open_view(
     if len(points.xyz) < MIN_POINTS:
         points = points_of(view)
     if len(points.xyz) < MIN_POINTS:
-        raise CodecError(
+        raise NoDepthError(
             f"view {view.name} has {len(points.xyz)} points with depth, need {MIN_POINTS}"
         )
     salient = decode_salient(view.salient)

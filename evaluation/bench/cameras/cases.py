@@ -52,7 +52,7 @@ def tried(variant: Variant, folder: Path) -> Attempt:
     folder.mkdir(parents=True)
     true_m = variant.write(folder)
     try:
-        camera = open_camera(variant.kind, str(folder), "once", **variant.options)
+        camera = open_camera(variant.kind, str(folder / variant.source), "once", **variant.options)
         try:
             frames = list(camera.frames())
         finally:
