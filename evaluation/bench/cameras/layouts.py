@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from fleetpose.evaluation.bench.cameras import tables
 from fleetpose.evaluation.bench.cameras.bars import Bar
 from fleetpose.evaluation.bench.cameras.cases import tried
-from fleetpose.evaluation.bench.cameras.scene import RIG, content, save, seen
-from fleetpose.evaluation.bench.cameras.variants import Variant
+from fleetpose.evaluation.bench.cameras.made import tables
+from fleetpose.evaluation.bench.cameras.made.scene import RIG, content, save, seen
+from fleetpose.evaluation.bench.cameras.made.variants import Variant
 from fleetpose.robot_agent.cameras.stereo.video import VideoSettings
 
 Depth = npt.NDArray[np.float32]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fleetpose.evaluation.bench.cameras.bars import Attempt, Bar
-from fleetpose.evaluation.bench.cameras.scene import RIG, Image, scene
+from fleetpose.evaluation.bench.cameras.made.scene import RIG, Image, scene
 from fleetpose.evaluation.simulate.stereo_video import shot_through_lenses
 from fleetpose.pose_server import pipeline
 from fleetpose.pose_server.calibration import monitor
