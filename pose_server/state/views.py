@@ -135,7 +135,7 @@ def open_view(
         frozen_s=view.frozen_s,
         on_way_s=view.on_way_s,
         share=view.share,
-        depth_points=max(round(len(with_depth) / max(view.share, 1e-3)), glance),
+        depth_points=max(round(len(with_depth) / max(view.share, 1e-3)), len(points.xyz)),
         glance_points=glance,
     )
 
