@@ -151,13 +151,24 @@ def load(
 @app.command()
 def fuzz(
     out: Out,
-    messages: Annotated[int, typer.Option(min=1, help="How many malformed messages.")] = 20_000,
+    messages: Annotated[int, typer.Option(min=0, help="How many malformed messages.")] = 20_000,
+    files: Annotated[int, typer.Option(min=0, help="How many damaged files.")] = 0,
     seed: Annotated[int, typer.Option(help="Which.")] = 0,
 ) -> None:
-    """Send malformed, truncated, oversize and bomb payloads to every subscribed key of a fleet."""
-    from fleetpose.evaluation.system.fuzz.command import passed, run
+    """Send malformed, truncated, oversize and bomb payloads to every subscribed key of a fleet.
 
-    raise typer.Exit(0 if passed(run(messages, out, seed)) else 1)
+    --files damages calibrations of every tool and lists of recordings, without a network: each must
+    be read or refused, within a second; their summary is in OUT/files. --messages 0: these alone.
+    """
+    from fleetpose.evaluation.system.fuzz import command
+    from fleetpose.evaluation.system.fuzz import files as of_files
+
+    good = True
+    if files:
+        good = of_files.passed(of_files.run(files, out / "files", seed))
+    if messages or not files:
+        good = command.passed(command.run(messages, out, seed)) and good
+    raise typer.Exit(0 if good else 1)
 
 
 @app.command()
