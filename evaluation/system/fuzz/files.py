@@ -16,7 +16,7 @@ import cv2
 
 from fleetpose.evaluation.bench.cameras import layouts
 from fleetpose.evaluation.bench.cameras.calibrations import FILES
-from fleetpose.evaluation.bench.cameras.known import SIZE
+from fleetpose.evaluation.bench.cameras.made.known import SIZE
 from fleetpose.evaluation.report import output
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.robot_agent.cameras.calibrations.reading import read_rig_file

@@ -45,7 +45,9 @@ class TopicSource(Protocol):
 
     name: str
     what: str
-    topics: Sequence[Topic]
+
+    @property
+    def topics(self) -> Sequence[Topic]: ...
 
     def first(self, topic: str) -> Any | None:
         """The first message of a topic that can be read, None without one."""
@@ -157,7 +159,7 @@ class Sensor:
             odometry = OdometryPose(self._T_odom_robot(reading, stamp_ns), reading.covariance)
             frame = replace(frame, odometry=odometry)
         level = reading is not None and self._is_joined(reading)
-        T_odom_robot = self._T_odom_robot(reading, stamp_ns) if level else None
+        T_odom_robot = self._T_odom_robot(reading, stamp_ns) if reading and level else None
         return with_up(frame, self.up.at(stamp_ns, T_robot_camera, T_odom_robot))
 
     def _is_joined(self, reading: OdometryReading) -> bool:

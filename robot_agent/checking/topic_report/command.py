@@ -10,8 +10,8 @@ from pathlib import Path
 from fleetpose.robot_agent.cameras.bag.options import BagOptions
 from fleetpose.robot_agent.cameras.ros.options import RosOptions
 from fleetpose.robot_agent.cameras.topics.options import TopicOptions
-from fleetpose.robot_agent.checking.topic_report import of_bag, of_robot
 from fleetpose.robot_agent.checking.told import Told
+from fleetpose.robot_agent.checking.topic_report import of_bag, of_robot
 
 _ENDPOINT = re.compile(r"(tcp|tls|udp|quic|ws|unixsock-stream)/.+")
 
