@@ -17,6 +17,7 @@ from fleetpose.robot_agent.cameras.folders.files import text_of
 MAX_BYTES = 4 * 1024 * 1024
 _OPENCV_HEADER = re.compile(r"\A\s*%YAML[^\n]*\n")  # of a kind that YAML itself does not know
 _TIGHT = re.compile(r"^(\s*[\w.]+):(?=[\[{])", re.MULTILINE)  # `data:[1` is no map to YAML
+_DEEP = re.compile(r"(?:[\[{]\s*){64}|(?:- ?){64} |(?:\w+: ?){64}|(?:<\w+>\s*){64}")
 _SECTION = re.compile(r"\A\s*\[[\w ]+\]\s*$", re.MULTILINE)
 _ASSIGNED = re.compile(r"\A\s*\w+\s*=")
 
@@ -28,6 +29,8 @@ def read_tree(path: Path) -> dict[str, Any]:
         CalibrationError: it cannot be read; the sentence says where it breaks.
     """
     text = _text_of(path)
+    if _DEEP.search(text):
+        raise CalibrationError(f"{path} is nested deeper than any calibration")
     start = text.lstrip()[:1]
     if start == "{":
         content = _json(path, text)
