@@ -8,8 +8,8 @@ from pathlib import Path
 from fleetpose.protocol.errors import CodecError, FleetPoseError
 from fleetpose.robot_agent.cameras.bag.options import BagOptions
 from fleetpose.robot_agent.cameras.bag.recording import BagRecording
-from fleetpose.robot_agent.checking import topic_lines
-from fleetpose.robot_agent.checking.topic_lines import Seen
+from fleetpose.robot_agent.checking.topics import lines
+from fleetpose.robot_agent.checking.topics.lines import Seen
 from fleetpose.rosmsg.bag import Bag
 from fleetpose.rosmsg.roles import HEADED
 
@@ -52,7 +52,7 @@ def _table(source: str, bag: Bag, seen: dict[str, Seen]) -> Iterator[str]:
     total = sum(topic.count for topic in bag.topics)
     first, last = bag.span_ns or (0, 0)
     yield f"{source}: {total} messages of {len(bag.topics)} topics in {1e-9 * (last - first):.1f} s"
-    yield from topic_lines.table(
+    yield from lines.table(
         bag.topics, seen, lambda topic: "  cannot be read" if bag.unreadable[topic.type] else ""
     )
 
@@ -66,8 +66,8 @@ def _camera(
         yield f"  missing     {error}"
         return
     pairs = sum(1 for _ in recording.moments())
-    skew = topic_lines.skew_of(recording.pairing, pairs)
-    yield from topic_lines.camera(recording.sensor, skew, calibration is not None)
+    skew = lines.skew_of(recording.pairing, pairs)
+    yield from lines.camera(recording.sensor, skew, calibration is not None)
     late_s = seen[recording.roles.image].late_s
     if abs(late_s) > _LATE_S:
         yield (
@@ -75,4 +75,4 @@ def _camera(
             "their headers: if other robots' were not, the clocks differed (--stamps receive)"
         )
     run = f"robot-agent run --name r1 --camera bag --data {shlex.quote(source)}"
-    yield f"  run it      {topic_lines.command(run, options, calibration)}"
+    yield f"  run it      {lines.command(run, options, calibration)}"

@@ -10,8 +10,8 @@ from pathlib import Path
 from fleetpose.robot_agent.cameras.bag.options import BagOptions
 from fleetpose.robot_agent.cameras.ros.options import RosOptions
 from fleetpose.robot_agent.cameras.topics.options import TopicOptions
-from fleetpose.robot_agent.checking import bag_topics, live_topics
 from fleetpose.robot_agent.checking.told import Told
+from fleetpose.robot_agent.checking.topics import bag, live
 
 _ENDPOINT = re.compile(r"(tcp|tls|udp|quic|ws|unixsock-stream)/.+")
 
@@ -34,9 +34,9 @@ def report(
     given = asdict(options)
     with Told() as told:
         if is_endpoint(source):
-            yield from live_topics.report(source, RosOptions(**given, domain=domain), calibration)
+            yield from live.report(source, RosOptions(**given, domain=domain), calibration)
         else:
-            yield from bag_topics.report(source, BagOptions(**given), calibration)
+            yield from bag.report(source, BagOptions(**given), calibration)
         for line in told.lines:
             yield f"  note        {line}"
 

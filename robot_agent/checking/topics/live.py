@@ -13,8 +13,8 @@ from fleetpose.robot_agent.cameras.ros.finding import RobotTopics, of_one_robot
 from fleetpose.robot_agent.cameras.ros.network import RosNetwork
 from fleetpose.robot_agent.cameras.ros.options import RosOptions
 from fleetpose.robot_agent.cameras.topics.sensor import Sensor
-from fleetpose.robot_agent.checking import topic_lines
-from fleetpose.robot_agent.checking.topic_lines import Seen
+from fleetpose.robot_agent.checking.topics import lines
+from fleetpose.robot_agent.checking.topics.lines import Seen
 from fleetpose.rosmsg.bag import Recorded, Topic
 from fleetpose.rosmsg.live.names import name_of
 from fleetpose.rosmsg.roles import HEADED
@@ -69,7 +69,7 @@ class _Listening:
             if message.topic in streams:
                 stream = streams.index(message.topic)
                 pairs += sum(1 for _ in pairing.add(stream, header_ns(message), message))
-        return topic_lines.skew_of(pairing, pairs)
+        return lines.skew_of(pairing, pairs)
 
 
 def _table(topics: RobotTopics, listening: _Listening) -> Iterator[str]:
@@ -82,7 +82,7 @@ def _table(topics: RobotTopics, listening: _Listening) -> Iterator[str]:
             return "  not listened to"
         return "  silent" if topic.name in silent else ""
 
-    yield from topic_lines.table(topics.topics, listening.seen, note)
+    yield from lines.table(topics.topics, listening.seen, note)
     if not count:
         yield (
             "  missing     topics: do the robot's nodes run rmw_zenoh with this router (or "
@@ -99,7 +99,7 @@ def _camera(
     except FleetPoseError as error:
         yield f"  missing     {error}"
         return
-    yield from topic_lines.camera(sensor, listening.skew(sensor), calibration is not None)
+    yield from lines.camera(sensor, listening.skew(sensor), calibration is not None)
     late_s = listening.seen[sensor.roles.image].late_s
     if abs(late_s) > _LATE_S:
         yield (
@@ -108,7 +108,7 @@ def _camera(
         )
     name = name_of(options.namespace) or "r1"
     run = f"robot-agent run --name {name} --camera ros --data {shlex.quote(topics.name)}"
-    yield f"  run it      {topic_lines.command(run, options, calibration)}"
+    yield f"  run it      {lines.command(run, options, calibration)}"
 
 
 def _dropped(network: RosNetwork) -> Iterator[str]:
