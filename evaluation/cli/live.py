@@ -153,8 +153,18 @@ def fuzz(
     out: Out,
     messages: Annotated[int, typer.Option(min=1, help="How many malformed messages.")] = 20_000,
     seed: Annotated[int, typer.Option(help="Which.")] = 0,
+    ros: Annotated[bool, typer.Option("--ros", help="Damaged input of ROS instead.")] = False,
+    count: Annotated[int, typer.Option(min=1, help="With --ros: how many pieces.")] = 20_000,
 ) -> None:
-    """Send malformed, truncated, oversize and bomb payloads to every subscribed key of a fleet."""
+    """Send malformed, truncated, oversize and bomb payloads to every subscribed key of a fleet.
+
+    With --ros: damaged messages, tokens, attachments and bags of ROS to what reads them. Ends with
+    1 if any came out as another error than ours, took more than a second, or was not counted.
+    """
+    if ros:
+        from fleetpose.evaluation.system.fuzz import ros as of_ros
+
+        raise typer.Exit(0 if of_ros.passed(of_ros.run(count, out, seed)) else 1)
     from fleetpose.evaluation.system.fuzz.command import passed, run
 
     raise typer.Exit(0 if passed(run(messages, out, seed)) else 1)
