@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -100,9 +101,8 @@ def run(count: int, out: Path, seed: int = 0) -> dict[str, Any]:
         }
         progress = closing.enter_context(output.progress_bar())
         for kind, one_after_the_other in pieces.items():
-            for what, use in progress.track(
-                _first(one_after_the_other, shares[kind]), shares[kind], description=kind
-            ):
+            few = islice(one_after_the_other, shares[kind])
+            for what, use in progress.track(few, shares[kind], description=kind):
                 outcome.give(f"{kind}: {what}", use)
         frames_after = wire.frames()
     return _told(outcome, frames_after, out)
@@ -136,11 +136,6 @@ def _told(outcome: Outcome, frames_after: int, out: Path) -> dict[str, Any]:
     for where, trace in list(outcome.traces.items())[:_TOLD]:
         print(f"{outcome.escaped[where]} x {where}\n{trace}")
     return summary
-
-
-def _first(pieces: Pieces, count: int) -> Pieces:
-    for _ in range(count):
-        yield next(pieces)
 
 
 @contextmanager

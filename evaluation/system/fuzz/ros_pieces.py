@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import zenoh
 from rosbags.rosbag1 import Writer as Rosbag1
 from rosbags.rosbag2 import StoragePlugin
@@ -13,12 +14,17 @@ from rosbags.rosbag2 import Writer as Rosbag2
 from rosbags.typesys import Stores, get_typestore
 
 from fleetpose.evaluation.system.fuzz.ros_messages import STAMP_NS, Robot, damaged, robots
+from fleetpose.protocol.codec import pack
 from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.keys import new_epoch
+from fleetpose.protocol.messages import Odometry
 from fleetpose.robot_agent.cameras.bag.camera import open_camera
 from fleetpose.robot_agent.cameras.bag.options import BagOptions
+from fleetpose.robot_agent.cameras.base import Frame
 from fleetpose.robot_agent.cameras.ros.network import recorded
 from fleetpose.robot_agent.cameras.topics.options import TopicOptions
 from fleetpose.robot_agent.cameras.topics.sensor import Sensor
+from fleetpose.robot_agent.features.packing import cloud_of
 from fleetpose.rosmsg.bag import Recorded, Topic
 from fleetpose.rosmsg.dialects import rmw_zenoh
 from fleetpose.rosmsg.live.directory import Directory
@@ -82,7 +88,18 @@ def _use(source: _Memory, sensor: Sensor, robot: Robot, topic: str, raw: bytes) 
     stamp_ns = header_ns(source.recorded(topic, raw))
     of_both = robot.raw | {topic: raw}
     image, ranges = (source.read(one, of_both[one]) for one in sensor.streams)
-    sensor.frame(image, ranges, stamp_ns)
+    _sent(sensor.frame(image, ranges, stamp_ns))
+
+
+def _sent(frame: Frame) -> None:
+    """What an agent makes of a frame, without its keypoints."""
+    cloud_of(frame.ranges, frame.model)
+    if (odometry := frame.odometry) is not None and odometry.covariance is not None:
+        pose = {"T_odom_robot": odometry.T_odom_robot, "covariance": odometry.covariance}
+        pack(Odometry(robot="r1", epoch=new_epoch(), stamp_ns=frame.stamp_ns, **pose))
+    up = frame.up_camera
+    if up is not None and not abs(np.linalg.norm(up) - 1) < 1e-6:
+        raise ValueError(f"up is {up.tolist()}")
 
 
 def at_the_start(chance: random.Random) -> Pieces:
