@@ -13,6 +13,7 @@ Floats = npt.NDArray[np.float64]
 
 _FISHEYE = ("equidistant", "fisheye")
 _SAME_PX = 1e-6
+_LARGEST_PX = 50_000_000
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,13 @@ def camera_info(message: Any) -> CameraInfo:
             f"the camera_info of '{frame_id}' has no focal length: the camera is not calibrated; "
             "give --calibration FILE"
         )
+    size = int(message.width), int(message.height)
+    numbers = np.concatenate([D, R.ravel(), P.ravel()])
+    if not np.isfinite(numbers).all() or min(size) < 1 or size[0] * size[1] > _LARGEST_PX:
+        raise CalibrationError(
+            f"the camera_info of '{frame_id}' cannot be: it is of {size[0]}x{size[1]} px, with D "
+            f"{D.tolist()} and P {P.ravel().tolist()}; give --calibration FILE"
+        )
     if P[0, 0] <= 0:
         P = np.hstack((K, np.zeros((3, 1))))
     return CameraInfo(
@@ -87,7 +95,7 @@ def camera_info(message: Any) -> CameraInfo:
         D=D if D.size else np.zeros(5),
         R=R if R.any() else np.eye(3),
         P=P,
-        size=(int(message.width), int(message.height)),
+        size=size,
         model=str(message.distortion_model),
         frame_id=frame_id,
     )

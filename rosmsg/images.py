@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fleetpose.protocol.errors import CodecError
+from fleetpose.rosmsg.sizes import LARGEST_PX, declared_px, longest_chunk
 
 Image = npt.NDArray[np.uint8]
 
@@ -104,6 +105,12 @@ def decoded(data: Any, flags: int, form: str) -> npt.NDArray[Any]:
         CodecError: nothing.
     """
     buffer = np.asarray(data, np.uint8)
+    raw = buffer.tobytes()
+    if (pixels := declared_px(raw)) > LARGEST_PX or longest_chunk(raw) > len(raw):
+        raise CodecError(
+            f"a compressed image '{form}' says that it has {pixels} pixels, or a part that is "
+            f"longer than its {len(raw)} bytes"
+        )
     try:
         image = cv2.imdecode(buffer, flags) if buffer.size else None
     except cv2.error as error:

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from fleetpose.protocol.errors import CodecError
 
-_LARGEST = 16384  # pixels of a side
+_LARGEST = 4096  # pixels of a side
 
 
 def decoded(data: bytes, width: int, height: int) -> npt.NDArray[np.uint16]:

@@ -14,6 +14,7 @@ from fleetpose.rosmsg.stamps import stamp_ns
 Floats = npt.NDArray[np.float64]
 
 KEPT = 200  # moments of a joint: two seconds at 100 Hz
+_FURTHEST_M = 2e7  # coordinates of a grid that spans the earth
 _DEEPEST = 100  # frames between two; more are a circle
 
 
@@ -26,7 +27,8 @@ def pose_matrix(position: Any, orientation: Any) -> Floats:
     q = np.array([orientation.x, orientation.y, orientation.z, orientation.w], np.float64)
     t = np.array([position.x, position.y, position.z], np.float64)
     norm = float(np.linalg.norm(q))
-    if not np.isfinite(t).all() or not np.isfinite(norm) or norm < 1e-6:
+    here = bool((np.abs(t) <= _FURTHEST_M).all())  # not where it is nan
+    if not here or not np.isfinite(norm) or norm < 1e-6:
         raise CodecError(f"a pose with the quaternion {q.tolist()} at {t.tolist()}")
     x, y, z, w = q / norm
     T = np.eye(4)

@@ -1,6 +1,7 @@
 """Deserialises messages by the definitions that their bag brings, else by those of ROS itself."""
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Any, Literal, NamedTuple
 
@@ -102,6 +103,22 @@ class Types:
 @cache
 def _distribution(name: Stores) -> Typestore:
     return get_typestore(name)
+
+
+@contextmanager
+def as_defined() -> Iterator[None]:
+    """Messages are used here by the fields that ROS gives their types.
+
+    Raises:
+        CodecError: one lacks a field, as the definition that its bag brings is another.
+    """
+    try:
+        yield
+    except AttributeError as error:
+        kind = getattr(error.obj, "__msgtype__", None)
+        if kind is None:
+            raise
+        raise CodecError(f"a message of {kind} has no field '{error.name}'") from error
 
 
 def _defined(kind: Kind) -> dict[str, Any]:

@@ -154,12 +154,21 @@ def fuzz(
     messages: Annotated[int, typer.Option(min=0, help="How many malformed messages.")] = 20_000,
     files: Annotated[int, typer.Option(min=0, help="How many damaged files.")] = 0,
     seed: Annotated[int, typer.Option(help="Which.")] = 0,
+    ros: Annotated[bool, typer.Option("--ros", help="Damaged input of ROS instead.")] = False,
+    count: Annotated[int, typer.Option(min=1, help="With --ros: how many pieces.")] = 20_000,
 ) -> None:
     """Send malformed, truncated, oversize and bomb payloads to every subscribed key of a fleet.
 
     --files damages calibrations of every tool and lists of recordings, without a network: each must
     be read or refused, within a second; their summary is in OUT/files. --messages 0: these alone.
+
+    --ros damages messages, tokens, attachments and bags of ROS instead: none may come out as another
+    error than ours, take more than a second, or not be counted.
     """
+    if ros:
+        from fleetpose.evaluation.system.fuzz import ros as of_ros
+
+        raise typer.Exit(0 if of_ros.passed(of_ros.run(count, out, seed)) else 1)
     from fleetpose.evaluation.system.fuzz import command
     from fleetpose.evaluation.system.fuzz import files as of_files
 

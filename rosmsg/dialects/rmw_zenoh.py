@@ -5,6 +5,7 @@ its hash, and each sample an attachment of 33 bytes, without which rmw_zenoh dro
 keys are the topics' names and its samples CDR alone.
 """
 
+import re
 import struct
 from dataclasses import dataclass
 from functools import cache
@@ -19,6 +20,9 @@ NO_HASH = "TypeHashNotSupported"
 """What Humble has in the place of a type's hash: its nodes do not meet those with one."""
 _TOKEN_PARTS = 13  # of rmw_zenoh's publishers and subscribers
 _DDS_TOKEN_PARTS = 6
+_TOPIC = re.compile(r"(/[^/*$?#\s\x00-\x1f]+)+")
+"""Of these signs ROS allows few, and zenoh asks with the others for something else."""
+_TYPE = re.compile(r"\w+/\w+/\w+")
 _DEFAULT_DEPTH = 42  # of rmw_zenoh: not written out
 
 
@@ -49,14 +53,18 @@ def tokens(domain: int) -> tuple[str, ...]:
 
 
 def endpoint_of(token: str) -> Endpoint | None:
-    """What a token says; None of one that is neither a publisher's nor a subscriber's."""
+    """What a token says; None of one that is neither a publisher's nor a subscriber's, or says what
+    cannot be.
+    """
     parts = token.split("/")
+    found = None
     if parts[0] == "@ros2_lv" and len(parts) == _TOKEN_PARTS:
-        return _of_rmw(parts)
+        found = _of_rmw(parts)
     if parts[0] == "@" and len(parts) >= _DDS_TOKEN_PARTS and parts[2:4] == ["@ros2_lv", "MP"]:
         topic = parts[4].replace("§", "/")
-        return Endpoint(f"/{topic}", parts[5].replace("§", "/"), topic, "publisher")
-    return None
+        found = Endpoint(f"/{topic}", parts[5].replace("§", "/"), topic, "publisher")
+    can_be = found is not None and _TOPIC.fullmatch(found.topic) and _TYPE.fullmatch(found.type)
+    return found if can_be else None
 
 
 def topic_key(domain: int, topic: str, type: str, hash: str = "*") -> str:

@@ -17,6 +17,7 @@ Floats = npt.NDArray[np.float64]
 
 KEPT = 1000  # five seconds at 200 Hz
 NEAR_NS = 100_000_000  # between two moments farther apart nothing is made up
+_CORRELATED = 1.01  # at most, but for rounding
 _UNKNOWN = 1e5  # variances by which drivers say that they do not know
 
 
@@ -60,11 +61,14 @@ def left_covariance(covariance: Floats, T: Floats) -> Floats | None:
         T: (4, 4) the pose.
 
     Returns:
-        None where they say that nothing is known: zeros, -1, 1e6, nan.
+        None where they say that nothing is known: zeros, -1, 1e6, nan, or are no covariance.
     """
     C = covariance.reshape(6, 6)
     variances = np.diag(C)
     if not np.isfinite(C).all() or (variances <= 0).any() or (variances > _UNKNOWN).any():
+        return None
+    most = np.sqrt(np.outer(variances, variances))
+    if (np.abs(C) > _CORRELATED * most).any():
         return None
     x, y, z = T[:3, 3]
     J = np.zeros((6, 6))

@@ -89,9 +89,7 @@ def test_what_was_drawn_over_and_other_sizes_are_drawn_anew(tmp_path):
         terminal.press("C-l")
         terminal.wait(lambda lines: lines == whole, "what was there before")
         terminal.resize(100, 30)
-        smaller = terminal.wait(
-            lambda lines: len(lines) == 30 and "Quit" in lines[-1], "smaller"
-        )
+        smaller = terminal.wait(lambda lines: len(lines) == 30 and "Quit" in lines[-1], "smaller")
         assert smaller[0].endswith("╮") and len(smaller[0]) == 100
         terminal.resize(120, 40)
         terminal.wait(lambda lines: lines == whole, "what was there before")

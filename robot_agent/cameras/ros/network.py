@@ -160,5 +160,9 @@ class RosNetwork:
         if size > most:
             self.drops.note(endpoint.topic, f"a message of {size} bytes, of {most} at most")
             return
-        kind = Kind(endpoint.type, _NO_DEFINITION, "cdr")
-        store(Recorded(endpoint.topic, kind, time.time_ns(), sample.payload))
+        store(recorded(endpoint.topic, endpoint.type, sample.payload))
+
+
+def recorded(topic: str, type: str, raw: bytes) -> Recorded:
+    """A message that has come now; its type is as ROS defines it."""
+    return Recorded(topic, Kind(type, _NO_DEFINITION, "cdr"), time.time_ns(), raw)

@@ -20,7 +20,7 @@ from fleetpose.robot_agent.cameras.topics.framing import (
     StereoFraming,
 )
 from fleetpose.robot_agent.cameras.topics.lenses import info_given, rig_given, rig_of
-from fleetpose.robot_agent.cameras.topics.mounting import Mounting, camera_on_robot, mounting
+from fleetpose.robot_agent.cameras.topics.mounting import camera_on_robot, mounting
 from fleetpose.robot_agent.cameras.topics.options import RGBD_SKEW_MS, TopicOptions
 from fleetpose.robot_agent.cameras.topics.up import Up, UpSense
 from fleetpose.rosmsg.bag import Topic
@@ -28,10 +28,13 @@ from fleetpose.rosmsg.camera_infos import CameraInfo, camera_info, frame_of
 from fleetpose.rosmsg.images import bgr, is_compressed
 from fleetpose.rosmsg.motion.inertial import inertial_reading
 from fleetpose.rosmsg.motion.odometry import OdometryReading, Track, odometry_reading
-from fleetpose.rosmsg.roles import Wanted, choose, is_rectified
+from fleetpose.rosmsg.roles import Roles, Wanted, choose, is_rectified
 from fleetpose.rosmsg.transforms import Tf
+from fleetpose.rosmsg.typestore import as_defined
 
 Floats = npt.NDArray[np.float64]
+
+_FURTHEST_M = 1e8  # that an odometry may tell the fleet
 
 
 class TopicSource(Protocol):
@@ -76,6 +79,7 @@ class Sensor:
     Raises:
         DataFolderError: there is no camera among the topics.
         CalibrationError: its infos cannot be used.
+        CodecError: a message lacks what its type has in ROS.
     """
 
     def __init__(
@@ -88,12 +92,12 @@ class Sensor:
         self._source, self._options = source, options
         self._calibration, self._unit = calibration, translation_unit
         self._firsts: dict[str, Any] = {}
-        wanted = Wanted(*(options.image, options.depth, options.left, options.right, options.cloud))
-        self.roles = choose(source.topics, options.namespace, wanted, self._frame_of)
-        self.tf = self._first_tf()
-        self._frame = self._frame_of(self.roles.image)
-        self.mounting: Mounting = mounting(self.tf, options.base, self._frame, source.what)
-        self._framing = self._new_framing()
+        with as_defined():
+            self.roles = self._new_roles()
+            self.tf = self._first_tf()
+            self._frame = self._frame_of(self.roles.image)
+            self.mounting = mounting(self.tf, options.base, self._frame, source.what)
+            self._framing = self._new_framing()
         self.restart()
 
     @property
@@ -135,6 +139,10 @@ class Sensor:
         Raises:
             CodecError: it says what cannot be.
         """
+        with as_defined():
+            self._note(topic, message, stamp)
+
+    def _note(self, topic: str, message: Any, stamp: Callable[[int], int]) -> None:
         if topic in self.roles.tf:
             self.tf.add(message, static=is_static(topic))
             return
@@ -153,26 +161,33 @@ class Sensor:
             CalibrationError: images do not fit their infos.
         """
         T_robot_camera = camera_on_robot(self.tf, self.mounting, self._frame, stamp_ns)
-        frame = self._framing.frame(image, ranges, stamp_ns, T_robot_camera)
+        with as_defined():
+            frame = self._framing.frame(image, ranges, stamp_ns, T_robot_camera)
         reading = self._track.at(stamp_ns)
-        if reading is not None:
-            odometry = OdometryPose(self._T_odom_robot(reading, stamp_ns), reading.covariance)
-            frame = replace(frame, odometry=odometry)
-        level = reading is not None and self._is_joined(reading)
-        T_odom_robot = self._T_odom_robot(reading, stamp_ns) if reading and level else None
-        return with_up(frame, self.up.at(stamp_ns, T_robot_camera, T_odom_robot))
+        T_odom_robot = None if reading is None else self._T_odom_robot(reading, stamp_ns)
+        if reading is None or T_odom_robot is None:
+            return with_up(frame, self.up.at(stamp_ns, T_robot_camera, None))
+        frame = replace(frame, odometry=OdometryPose(T_odom_robot, reading.covariance))
+        level = T_odom_robot if self._is_joined(reading) else None
+        return with_up(frame, self.up.at(stamp_ns, T_robot_camera, level))
 
     def _is_joined(self, reading: OdometryReading) -> bool:
         """Whether tf knows the robot's body and how the body of its odometry hangs on it."""
         base, child = self.mounting.base, reading.child_frame
         return bool(base) and (child in ("", base) or self.tf.chain(child, base) is not None)
 
-    def _T_odom_robot(self, reading: OdometryReading, stamp_ns: int) -> Floats:
+    def _new_roles(self) -> Roles:
+        named = self._options
+        wanted = Wanted(named.image, named.depth, named.left, named.right, named.cloud)
+        return choose(self._source.topics, named.namespace, wanted, self._frame_of)
+
+    def _T_odom_robot(self, reading: OdometryReading, stamp_ns: int) -> Floats | None:
+        """None of a place that cannot be, by tf or by itself."""
         T_odom_robot, base = reading.T_odom_child, self.mounting.base
         if base and reading.child_frame and reading.child_frame != base:
             T_child_robot = self.tf.lookup(reading.child_frame, base, stamp_ns)
             T_odom_robot = T_odom_robot if T_child_robot is None else T_odom_robot @ T_child_robot
-        return T_odom_robot
+        return T_odom_robot if (np.abs(T_odom_robot[:3, 3]) < _FURTHEST_M).all() else None
 
     def _first(self, topic: str) -> Any:
         if topic not in self._firsts:

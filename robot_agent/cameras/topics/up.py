@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from fleetpose.robot_agent.cameras.topics.mounting import Mounting
 from fleetpose.robot_agent.cameras.topics.options import UpSource
-from fleetpose.rosmsg.motion.inertial import InertialReading
+from fleetpose.rosmsg.motion.inertial import GRAVITY_M_S2, InertialReading
 from fleetpose.rosmsg.transforms import Tf
 
 log = logging.getLogger(__name__)
@@ -23,6 +23,7 @@ SIGMA_RAD = float(np.radians(2.0))  # bias of an accelerometer, drift of an odom
 _Z = np.array((0.0, 0.0, 1.0))
 _NEAR_NS = 500_000_000  # readings of a moment are averaged: a single one shakes
 _KEPT = 400
+_TOGETHER = 0.9  # of gravity, in the mean of readings that point the same way
 _AGREE_RAD = np.radians(10.0)
 _LEANS_RAD = np.radians(45.0)
 """A body that leans further by its odometry does not lean: the odometry is that of a camera."""
@@ -90,7 +91,8 @@ class UpSense:
             self._tell("tf does not say where its Imu sits: it cannot tell where up is")
             return None
         up = T_robot_imu[:3, :3] @ np.mean([one.acceleration for one in near], axis=0)
-        return up / np.linalg.norm(up)
+        felt = float(np.linalg.norm(up))
+        return up / felt if felt > _TOGETHER * GRAVITY_M_S2 else None
 
     def _from_imu(self, frame: str, stamp_ns: int, T_robot_camera: Floats) -> Floats | None:
         if self._where.base:

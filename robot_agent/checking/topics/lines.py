@@ -1,5 +1,10 @@
+<<<<<<<< HEAD:robot_agent/checking/topic_report/lines.py
 """What is said of topics, of a bag or of a robot that runs: a line for each, which make a camera
 and why, what is missing, and the command.
+========
+"""What is said of topics, of a bag or of a robot that runs: a line for each, those that make
+a camera and why, what is missing, and the command.
+>>>>>>>> live:robot_agent/checking/topics/lines.py
 """
 
 import shlex
