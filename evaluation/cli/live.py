@@ -162,8 +162,8 @@ def fuzz(
     --files damages calibrations of every tool and lists of recordings, without a network: each must
     be read or refused, within a second; their summary is in OUT/files. --messages 0: these alone.
 
-    --ros damages messages, tokens, attachments and bags of ROS instead: none may come out as another
-    error than ours, take more than a second, or not be counted.
+    --ros damages messages, tokens, attachments and bags of ROS instead: none may come out as
+    another error than ours, take more than a second, or not be counted.
     """
     if ros:
         from fleetpose.evaluation.system.fuzz import ros as of_ros
