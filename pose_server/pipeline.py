@@ -13,6 +13,7 @@ import numpy as np
 
 from fleetpose.pose_server.calibration.monitor import note_depths, note_mirror
 from fleetpose.pose_server.consistency.anchoring import choose_anchor, gauge_of
+from fleetpose.pose_server.consistency.blindness import note_without_depth
 from fleetpose.pose_server.consistency.doubts import reconsider
 from fleetpose.pose_server.consistency.levelling import learns_up, level
 from fleetpose.pose_server.consistency.repetition import believed, note_refuted, note_repetition
@@ -41,9 +42,9 @@ from fleetpose.pose_server.registration.verdict.evaluate import PairResult
 from fleetpose.pose_server.scheduling import pair_queue
 from fleetpose.pose_server.scheduling.affine_retries import note_open, wide_job
 from fleetpose.pose_server.state.site import Site
-from fleetpose.pose_server.state.views import KeptView
+from fleetpose.pose_server.state.views import KeptView, NoDepthError
 from fleetpose.pose_server.workers.jobs import ClickJob, Done, Job, PairJob, TrackJob
-from fleetpose.protocol.errors import CodecError
+from fleetpose.protocol.errors import CodecError, FleetPoseError
 from fleetpose.protocol.keys import RobotPair, ordered_pair
 from fleetpose.protocol.messages import Denials, OperatorUpdate, Selection, ViewName
 
@@ -76,11 +77,14 @@ def receive_view(site: Site, view: KeptView) -> None:
             site.want_solution()
 
 
-def refuse_view(site: Site, name: str, reason: str) -> None:
+def refuse_view(site: Site, name: str, error: FleetPoseError) -> None:
     """A view of a robot cannot be used; why is told where its robot is asked about."""
     robot = site.robots.get(name)
-    if robot is not None:
-        robot.refuse(reason)
+    if robot is None:
+        return
+    robot.refuse(str(error))
+    if isinstance(error, NoDepthError):
+        note_without_depth(site, robot)
 
 
 def receive_denials(site: Site, denials: Denials) -> None:

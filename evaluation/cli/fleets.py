@@ -60,8 +60,9 @@ def bench(options: BenchOptions, out: Out) -> None:
     The error is counted twice: after one rigid fit of all robots together, and after one for each.
     Estimates are those of all views at the end. Writes summary.json and the trajectories (tum/). As
     unpacked: euroc DATA/MH_01_easy/mav0; kitti DATA/sequences/00 with DATA/poses/00.txt; tum
-    DATA/SEQUENCE/rgb.txt; 7scenes DATA/seq-01/frame-*.pose.txt; replica DATA/SEQUENCE/results.
-    One sequence for three robots: --robots 00 --split 3.
+    DATA/SEQUENCE/rgb.txt; 7scenes DATA/seq-01/frame-*.pose.txt; replica DATA/SEQUENCE/results; of
+    bags s3e, kimera-multi and graco, with NAME_gt.txt beside them. One sequence for three robots:
+    --robots 00 --split 3. One street alone: --layout kitti without --robots.
     """
     from fleetpose.evaluation.bench.published.command import run
 

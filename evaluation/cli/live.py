@@ -151,23 +151,33 @@ def load(
 @app.command()
 def fuzz(
     out: Out,
-    messages: Annotated[int, typer.Option(min=1, help="How many malformed messages.")] = 20_000,
+    messages: Annotated[int, typer.Option(min=0, help="How many malformed messages.")] = 20_000,
+    files: Annotated[int, typer.Option(min=0, help="How many damaged files.")] = 0,
     seed: Annotated[int, typer.Option(help="Which.")] = 0,
     ros: Annotated[bool, typer.Option("--ros", help="Damaged input of ROS instead.")] = False,
     count: Annotated[int, typer.Option(min=1, help="With --ros: how many pieces.")] = 20_000,
 ) -> None:
     """Send malformed, truncated, oversize and bomb payloads to every subscribed key of a fleet.
 
-    With --ros: damaged messages, tokens, attachments and bags of ROS to what reads them. Ends with
-    1 if any came out as another error than ours, took more than a second, or was not counted.
+    --ros: damaged messages, tokens, attachments and bags of ROS to what reads them, and no fleet.
+    Ends with 1 if one came out as another error than ours, took more than a second, or was not
+    counted.
+
+    --files damages calibrations of every tool and lists of recordings, without a network: each must
+    be read or refused, within a second; their summary is in OUT/files. --messages 0: these alone.
     """
+    from fleetpose.evaluation.system.fuzz import command
+    from fleetpose.evaluation.system.fuzz import files as of_files
+    from fleetpose.evaluation.system.fuzz import ros as of_ros
+
     if ros:
-        from fleetpose.evaluation.system.fuzz import ros as of_ros
-
         raise typer.Exit(0 if of_ros.passed(of_ros.run(count, out, seed)) else 1)
-    from fleetpose.evaluation.system.fuzz.command import passed, run
-
-    raise typer.Exit(0 if passed(run(messages, out, seed)) else 1)
+    good = True
+    if files:
+        good = of_files.passed(of_files.run(files, out / "files", seed))
+    if messages or not files:
+        good = command.passed(command.run(messages, out, seed)) and good
+    raise typer.Exit(0 if good else 1)
 
 
 @app.command()

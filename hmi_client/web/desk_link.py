@@ -26,7 +26,7 @@ from fleetpose.protocol.errors import FleetPoseError
 
 log = logging.getLogger(__name__)
 
-BREATH_S = 0.02  # between two looks at what has changed
+BREATH_S = 0.01  # between two looks at what has changed
 LOOK_S = 0.25  # at the longest: silence has no event
 FLEET_S = 0.5  # between two matrices, and two maps
 HEALTH_S = 1.0

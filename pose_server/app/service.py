@@ -252,7 +252,7 @@ class Service:
         """Counts a view that cannot be used, and keeps why at its robot."""
         self._drops.note(sample.key, error)
         _, _, name = kind_and_sender(sample.key)[1].partition("/")
-        pipeline.refuse_view(self.site, name, str(error))
+        pipeline.refuse_view(self.site, name, error)
 
     def _viewed(self, kept: KeptView) -> None:
         """Takes the newest view of a robot that was there before this server."""

@@ -19,21 +19,35 @@ def note_blind(site: Site, robot: Robot, view: KeptView) -> None:
     """Notes whether a robot's newest view has hardly any depth; that it begins or ends is an
     event.
     """
-    usual = max(
-        (
-            site.views[keyframe].depth_points
-            for keyframe in robot.track.keyframes
-            if keyframe in site.views and keyframe != view.name
-        ),
-        default=0,
-    )
-    had = f" where its keyframes have up to {usual}" if usual else ""
+    kept = [
+        site.views[keyframe]
+        for keyframe in robot.track.keyframes
+        if keyframe in site.views and keyframe != view.name
+    ]
+    usual = max((one.depth_points for one in kept), default=0)
+    glance = max((one.glance_points for one in kept), default=0)
+    points, had = view.depth_points, usual
+    if view.glance_points < _LEFT * glance:  # specks are left, at which nobody can click
+        points, had = view.glance_points, glance
+    beside = f" where its keyframes have up to {had}" if had else ""
     text = (
-        f"{robot.name} sees hardly anything that has depth ({view.depth_points} points{had}): is a "
-        "lens dark or covered, is an eye frozen, has a camera moved (robot-agent calibrate-check), "
-        "or is there only a blank wall?"
+        f"{robot.name} sees hardly anything that has depth ({points} points{beside}): is a lens "
+        "dark or covered, is an eye frozen, have eyes changed places, has a camera moved "
+        "(robot-agent calibrate-check), or is there only a blank wall?"
     )
-    is_blind = view.depth_points < max(LEAST_POINTS, _LEFT * usual)
+    _note(site, robot, text, is_blind=points < max(LEAST_POINTS, _LEFT * had))
+
+
+def note_without_depth(site: Site, robot: Robot) -> None:
+    """Notes that a robot's newest view was refused for having no depth to speak of."""
+    text = (
+        f"{robot.name} sees nothing that has depth, and its views are refused for it: is a lens "
+        "dark or covered, is an eye frozen?"
+    )
+    _note(site, robot, text, is_blind=True)
+
+
+def _note(site: Site, robot: Robot, text: str, *, is_blind: bool) -> None:
     if is_blind != bool(robot.blind):
         said = text if is_blind else f"{robot.name} sees enough that has depth again"
         site.say(said)

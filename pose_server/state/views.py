@@ -29,6 +29,10 @@ _NEAR_PX, _SAME_COSINE = 3.0, 0.9
 STILL_PX = 0.15
 
 
+class NoDepthError(CodecError):
+    """A view that has too few points with depth to be of use."""
+
+
 @dataclass(frozen=True)
 class KeptView:
     """A view as it came, and what the server needs to know of it without decoding it again.
@@ -45,6 +49,7 @@ class KeptView:
         share: of its salient points that the robot sent.
         depth_points: how many salient points have depth, had all come; or points of a glance at the
             cloud, if those are more.
+        glance_points: how many points a glance at the cloud, at even steps over it, found.
     """
 
     name: ViewName
@@ -63,6 +68,7 @@ class KeptView:
     on_way_s: float = 0.0
     share: float = 1.0
     depth_points: int = 0
+    glance_points: int = 0
 
     @property
     def encoded(self) -> EncodedView:
@@ -104,10 +110,11 @@ def open_view(
             share=view.share,
         )
     points = some_points_of(view, _DEPTH_SAMPLE)
-    if len(points.xyz) < MIN_POINTS:
+    glance = len(points.xyz)
+    if glance < MIN_POINTS:
         points = points_of(view)
     if len(points.xyz) < MIN_POINTS:
-        raise CodecError(
+        raise NoDepthError(
             f"view {view.name} has {len(points.xyz)} points with depth, need {MIN_POINTS}"
         )
     salient = decode_salient(view.salient)
@@ -132,6 +139,7 @@ def open_view(
         on_way_s=view.on_way_s,
         share=view.share,
         depth_points=max(round(len(with_depth) / max(view.share, 1e-3)), len(points.xyz)),
+        glance_points=glance,
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fleetpose.protocol.errors import CalibrationError
+from fleetpose.robot_agent.cameras.calibrations.lens import LensModel
 from fleetpose.robot_agent.cameras.stereo.matching import StereoMatcher
 from fleetpose.robot_agent.cameras.stereo.pairs import ImagePair
 from fleetpose.robot_agent.cameras.stereo.rig import StereoRig
@@ -28,6 +29,8 @@ Image = npt.NDArray[np.uint8]
 Verdict = Literal["fits", "does not fit", "cannot tell"]
 
 _LINE_EVERY_PX = 40
+_SUSPECT_PX = 0.2  # of row errors, beyond which the lenses may be of the other model
+_MUCH_BETTER = 1 / 3
 _TURNED = ("rows", "disparities")
 
 
@@ -90,27 +93,39 @@ def check_rig(pairs: list[ImagePair], rig: StereoRig, known: KnownLength | None 
     if not pairs:
         raise CheckError("the source gave no pair of images")
     report = _checked(pairs, rig, known)
-    if report.verdict == "does not fit" and (said := _of_another_lens(pairs, rig, known)):
-        return replace(report, sentence=f"{said}; {report.sentence}")
+    if _row_error(report) > _SUSPECT_PX and (said := _of_another_lens(report, pairs, rig, known)):
+        return replace(report, verdict="does not fit", sentence=said)
     return report
 
 
-def _of_another_lens(pairs: list[ImagePair], rig: StereoRig, known: KnownLength | None) -> str:
-    """What to write if the same numbers fit as those of the other model of lenses, else empty."""
+def _row_error(report: Report) -> float:
+    """By how much the calibration puts matches off their rows, px; inf where that is not known."""
+    of = {finding.name: finding.value for finding in report.findings}
+    return max(of.get("rows", np.inf), of.get("pattern", np.inf))
+
+
+def _of_another_lens(
+    report: Report, pairs: list[ImagePair], rig: StereoRig, known: KnownLength | None
+) -> str:
+    """What to write if the numbers fit much better as those of the other model of lenses, else
+    empty.
+    """
     D = [np.ravel(one)[:4] for one in (rig.D_left, rig.D_right)]
-    if not all(one.any() for one in D) or any(one.size < 4 for one in D):
+    if not all(one.any() and one.size == 4 for one in D):
         return ""
-    other, name = ("normal", "radtan") if rig.lens == "fisheye" else ("fisheye", "equidistant")
+    is_fisheye = rig.lens == "fisheye"
     try:
-        turned = replace(rig, lens=other, D_left=D[0], D_right=D[1])
-        fits = _checked(pairs, turned, known).verdict != "does not fit"
+        lens: LensModel = "normal" if is_fisheye else "fisheye"
+        other = _checked(pairs, replace(rig, lens=lens, D_left=D[0], D_right=D[1]), known)
     except (CheckError, CalibrationError):
         return ""
-    kind = "a fisheye" if other == "fisheye" else "a normal lens"
+    before_px, after_px = _row_error(report), _row_error(other)
+    if other.verdict == "does not fit" or after_px > _MUCH_BETTER * before_px:
+        return ""
+    kind, name = ("a normal lens", "radtan") if is_fisheye else ("a fisheye", "equidistant")
     return (
-        f'the distortion is that of {kind}: write "distortion_model": "{name}" into the calibration'
-        if fits
-        else ""
+        f"the distortion is that of {kind}: with it matches are {after_px:.2f} px off their rows "
+        f'instead of {before_px:.2f}: write "distortion_model": "{name}" into the calibration'
     )
 
 

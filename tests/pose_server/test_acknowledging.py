@@ -11,6 +11,7 @@ from fleetpose.pose_server.messages import builders
 from fleetpose.pose_server.messages.builders import Stamp
 from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.protocol.drops import Drops
+from fleetpose.protocol.errors import CodecError
 from fleetpose.protocol.keys import Keys
 from fleetpose.protocol.messages import Heard
 from tests.pose_server.scene import EPOCH
@@ -58,8 +59,8 @@ def test_refused_views_are_told_to_their_robot_and_to_who_asks_why(server):
     reason = "view r1/a/1 has 0 points with depth, need 10"
     for _ in range(2):
         acknowledgements.drops.note(KEYS.cloud("r1"), reason)
-        pipeline.refuse_view(site, "r1", reason)
-    pipeline.refuse_view(site, "r9", reason)
+        pipeline.refuse_view(site, "r1", CodecError(reason))
+    pipeline.refuse_view(site, "r9", CodecError(reason))
     acknowledgements.tell("r1")
     assert told[0][1].drops == acknowledgements.drops.of("robot/r1") and told[0][1].drops
     answer = builders.why_not(site, "r1", ServerSettings(), 0.0)
@@ -78,6 +79,6 @@ def test_newer_views_that_are_refused_are_why_the_newest_one_is_old(server):
     assert found is not None
     robot.publish(*found)
     assert "is 60 s old" in builders.why_not_located(site, robot, ServerSettings(), 60.0)
-    pipeline.refuse_view(site, "r1", "it has no points")
+    pipeline.refuse_view(site, "r1", CodecError("it has no points"))
     why = builders.why_not_located(site, robot, ServerSettings(), 60.0)
     assert why == "its newest view is 60 s old: 1 since were refused: it has no points"

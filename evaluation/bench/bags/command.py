@@ -24,6 +24,7 @@ PAIRS = {
     "one of ROS 1": ((Variant(), Variant("ros1")), WITH_ROS1),
 }
 _TOPICS_S = 120.0
+_LEFT_SHARE = 0.6  # of a file that was cut off
 
 
 def run(options: BagsOptions, out: Path) -> int:
@@ -39,7 +40,7 @@ def run(options: BagsOptions, out: Path) -> int:
         made = walks(2, options.frames)
         bars, failed = topics_bar(bags)
         reads = read_variants(made[0], scratch)
-        bars += bars_of(reads)
+        bars += [cut_off_bar(scratch / "variant_0"), *bars_of(reads)]
         seen: dict[str, Watched] = {}
         if options.live:
             scenes = recorded(bags) or made
@@ -56,13 +57,29 @@ def topics_bar(bags: Sequence[Path]) -> tuple[list[Bar], list[str]]:
     """That `robot-agent topics` ends with 0 on each bag; what it said where it does not."""
     failed = []
     for bag in bags:
-        command = [sys.executable, "-P", "-m", "fleetpose.robot_agent", "topics", str(bag)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=_TOPICS_S)
+        done = _topics(bag)
         if done.returncode:
             failed.append(f"{bag}: {done.stderr.strip()[-300:]}")
     why_not = "" if bags else "no --data"
     name = f"robot-agent topics: ends other than by 0, of {len(bags)} bags"
     return [Bar(name, len(failed) if bags else None, 0.0, why_not=why_not)], failed
+
+
+def cut_off_bar(recorder: Path) -> Bar:
+    """That `robot-agent topics` reads what is left of an mcap file whose recorder was killed: ends
+    with 0 and says how many messages that are.
+    """
+    (whole,) = recorder.glob("*.mcap")
+    cut = recorder.parent / "cut_off.mcap"
+    cut.write_bytes(whole.read_bytes()[: int(_LEFT_SHARE * whole.stat().st_size)])
+    done = _topics(cut)
+    read = done.returncode == 0 and "are left" in done.stdout
+    return Bar("a cut-off mcap: its rest is read, and it is said", float(read), 1.0, at_least=True)
+
+
+def _topics(bag: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-P", "-m", "fleetpose.robot_agent", "topics", str(bag)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=_TOPICS_S)
 
 
 def recorded(bags: Sequence[Path]) -> list[Scene]:
@@ -101,6 +118,7 @@ def _summary(
         "rotation_error_deg": float(np.median(first.errors_deg)) if first.errors_deg else None,
         "clock_alarms": first.clock_alarms,
         "stale": first.stale,
+        "why_not": sorted(set().union(*(one.why_not for one in seen.values()))),
         "forms": [vars(one) for one in reads],
         "rows": as_rows(bars),
     }

@@ -30,6 +30,7 @@ class Watched:
         errors_m, errors_deg: of T_i_j of each two robots in each sample.
         clock_alarms: samples in which a clock was blamed.
         stale: poses that were no longer valid when they were looked at.
+        why_not: what the server said of robots that it did not locate.
     """
 
     samples: int = 0
@@ -38,6 +39,7 @@ class Watched:
     errors_deg: list[float] = field(default_factory=list)
     clock_alarms: int = 0
     stale: int = 0
+    why_not: set[str] = field(default_factory=set)
 
     def bars(self, what: str, robots: int, limits: tuple[float, float]) -> list[Bar]:
         """All robots verified, within metres and degrees, no clock alarm, nothing stale."""
@@ -89,7 +91,10 @@ def _note(observer: Observer, bags: Mapping[str, RobotBag], seen: Watched) -> No
     located = {name for name, one in poses.items() if one.pose.located}
     seen.verified &= {name for name in located if poses[name].pose.verdict == "verified"}
     seen.stale += sum(not _is_valid(one) for one in poses.values())
-    alarms = () if observer.state is None else observer.state.alarms
+    state = observer.state
+    if state is not None:
+        seen.why_not |= {f"{one.robot}: {one.why_not}" for one in state.robots if one.why_not}
+    alarms = () if state is None else state.alarms
     seen.clock_alarms += any(alarm.kind == "clock" for alarm in alarms)
     where = {name: _both(observer, bags[name], poses[name]) for name in sorted(located & set(bags))}
     for a, b in combinations([both for both in where.values() if both is not None], 2):

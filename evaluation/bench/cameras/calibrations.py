@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fleetpose.evaluation.bench.cameras import plain, slam
 from fleetpose.evaluation.bench.cameras.bars import Attempt, Bar
-from fleetpose.evaluation.bench.cameras.known import (
+from fleetpose.evaluation.bench.cameras.made import plain, slam
+from fleetpose.evaluation.bench.cameras.made.known import (
     FISHEYE,
     SIDES,
     SIZE,

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fleetpose.evaluation.bench.cameras import lost, stereo_variants, tables
 from fleetpose.evaluation.bench.cameras.bars import Attempt, Bar
-from fleetpose.evaluation.bench.cameras.scene import median_off, seen_with
-from fleetpose.evaluation.bench.cameras.variants import Variant
+from fleetpose.evaluation.bench.cameras.made import lost, stereo_variants, tables
+from fleetpose.evaluation.bench.cameras.made.scene import median_off, seen_with
+from fleetpose.evaluation.bench.cameras.made.variants import Variant
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.robot_agent.cameras.base import DepthImage, DisparityImage, Frame
 from fleetpose.robot_agent.cameras.calibrations.reading import read_rig_file
@@ -52,7 +52,7 @@ def tried(variant: Variant, folder: Path) -> Attempt:
     folder.mkdir(parents=True)
     true_m = variant.write(folder)
     try:
-        camera = open_camera(variant.kind, str(folder), "once", **variant.options)
+        camera = open_camera(variant.kind, str(folder / variant.source), "once", **variant.options)
         try:
             frames = list(camera.frames())
         finally:

@@ -4,7 +4,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from fleetpose.evaluation.bench.cameras import calibrations, cases, rigs
+from fleetpose.evaluation.bench.cameras import calibrations, cases, layouts, rigs, robots
 from fleetpose.evaluation.bench.cameras.bars import Bar
 from fleetpose.evaluation.report.output import output_folder, print_table, write_csv, write_summary
 
@@ -36,6 +36,8 @@ def bars_of(scratch: Path, faults: Path | None, data: Path | None) -> Iterator[B
     yield cases.bar(scratch / "cases", faults)
     yield rigs.bar(data)
     yield calibrations.bar(scratch / "calibrations")
+    yield layouts.bar(scratch / "layouts")
+    yield robots.bar()
 
 
 def _write(out: Path, bars: list[Bar]) -> None:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from fleetpose.evaluation.bench.cameras.bars import Attempt, Bar
-from fleetpose.evaluation.bench.cameras.scene import (
+from fleetpose.evaluation.bench.cameras.made.scene import (
     BOARD,
     FISHEYE_D,
     FISHEYE_K,

@@ -109,11 +109,8 @@ def open_bags(
     """
     known = BAG_LAYOUTS[layout]
     source = ",".join(str(bag) for bag in _bags_of(data, name))
-    eyes = {
-        side: topic.replace("NAME", name)
-        for side, topic in (("left", known.left), ("right", known.right))
-    }
-    options = BagOptions(**eyes, stamps=stamps, max_skew_ms=None)
+    left, right = (topic.replace("NAME", name) for topic in (known.left, known.right))
+    options = BagOptions(left=left, right=right, stamps=stamps)
     own = _calibration_of(calibration, name)
     truth = read_truth(_truth_of(data, name, known.truths))
     empty = BagSequence(

@@ -132,7 +132,7 @@ class ImagePanel(Panel):
         self._load()
         self._titles()
         columns, rows = self.extent
-        if self._image is None or self.image_size is None:
+        if self._image is None or self.image_size is None or min(columns, rows) < 2:
             self._window = self._loupe = None
             return self._waiting(columns, rows)
         width, height = self.image_size

@@ -105,7 +105,7 @@ class MapPanel(Panel):
         self.repaint()
 
     def _projection(self, places: dict[str, Floats]) -> Projection:
-        columns, rows = self.extent.width, self.extent.height - 3
+        columns, rows = max(self.extent.width, 1), max(self.extent.height - 3, 1)
         xy = np.array(list(places.values())).reshape(-1, 2)
         pair = [places[robot] for robot in self.session.pair or () if robot in places]
         if self.desk.following and pair:

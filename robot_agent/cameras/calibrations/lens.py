@@ -144,6 +144,6 @@ def check_centre(K: Floats, size: tuple[int, int], where: str) -> None:
         raise CalibrationError(
             f"{where} has its optical axis at {cx:.0f}, {cy:.0f}, as images of about "
             f"{2 * cx + 1:.0f}x{2 * cy + 1:.0f} have, and these are {size[0]}x{size[1]}: scale fx, "
-            "fy, cx and cy to their size, or write the size that it was made at into it (width, height) "
-            "if that is theirs"
+            "fy, cx and cy to their size, or write the size that it was made at into it (width, "
+            "height) if that is theirs"
         )

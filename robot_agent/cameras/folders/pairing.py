@@ -21,10 +21,15 @@ _LAYOUTS = (
     ("image_2", "image_3"),
     ("image_00/data", "image_01/data"),
     ("image_02/data", "image_03/data"),
-    ("image_left", "image_right"),
+    ("image_left", "image_right"),  # TartanAir
+    ("rgb", "rgb2"),  # ETH3D
+    ("infra1", "infra2"),
+    ("Left", "Right"),
+    ("images/left", "images/right"),
+    ("data/left", "data/right"),
 )
 _KIND = re.compile(
-    r"left|right|colou?r|rgb|depth|image|(?:^|(?<=[^a-z]))[lr](?=[^a-z]|$)|cam(?:era)?[01]",
+    r"left|right|colou?r|rgb|depth|image|(?:^|(?<=[^a-z]))[lr](?=[^a-z]|$)|cam(?:era)?[01]|infra[12]|ir[12]",
     re.IGNORECASE,
 )
 _STAMP_DIGITS = 13  # of the ms since 1970; ns have 19

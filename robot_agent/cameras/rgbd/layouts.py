@@ -18,7 +18,8 @@ MM = 1000.0
 TUM_STEPS_PER_M = 5000.0
 TUM_K = np.array([[525.0, 0.0, 319.5], [0.0, 525.0, 239.5], [0.0, 0.0, 1.0]])
 _COLOUR_ENDINGS = (".color_registered.jpg", ".color_registered.png", ".color.jpg", ".color.png")
-_COLOUR_FOLDERS = ("rgb", "color", "colour", "image", "images")
+_DEPTH_FOLDERS = ("depth", "depths", "depth_images")
+_COLOUR_FOLDERS = ("rgb", "color", "colour", "image", "images", "colors")
 
 
 @dataclass(frozen=True)
@@ -81,8 +82,8 @@ def _listed(folder: Path) -> Layout | None:
 
 def _seven_scenes(folder: Path) -> Layout | None:
     shots = []
-    for depth in sorted(folder.glob("frame-*.depth.png")):
-        stem = depth.name.removesuffix(".depth.png")
+    for depth in sorted(folder.glob("frame-*.depth.p[ng][gm]")):
+        stem = depth.name.removesuffix(depth.suffix).removesuffix(".depth")
         candidates = [folder / (stem + ending) for ending in _COLOUR_ENDINGS]
         colour = next((path for path in candidates if path.is_file()), None)
         if colour is None:
@@ -109,9 +110,9 @@ def _replica(folder: Path) -> Layout | None:
 
 
 def _two_folders(folder: Path) -> Layout | None:
-    depth = folder / "depth"
+    depth = next((folder / name for name in _DEPTH_FOLDERS if (folder / name).is_dir()), None)
     for name in _COLOUR_FOLDERS:
-        if depth.is_dir() and (folder / name).is_dir():
+        if depth is not None and (folder / name).is_dir():
             pairs = paired(
                 list_images(folder / name), list_images(depth), 1e3 * MAX_DIFFERENCE_S, _WORDS
             )

@@ -113,6 +113,8 @@ def seen_with(depth_m: npt.NDArray[np.float32], K: Floats, size: tuple[int, int]
 def save(path: Path, image: npt.NDArray[np.generic]) -> None:
     """An image under its name; the folder is made."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".pgm" and image.ndim == 3:
+        image = image[..., 1]  # its format knows no colours
     cv2.imwrite(str(path), image)
 
 

@@ -22,6 +22,7 @@ class Variant:
         refused: what the refusal must say, a pattern; None where it must be opened right.
         frames: how many it has.
         options: of `open_camera`.
+        source: of the folder, what is opened; empty: all of it.
     """
 
     name: str
@@ -30,3 +31,4 @@ class Variant:
     refused: str | None = None
     frames: int = 1
     options: dict[str, Any] = field(default_factory=dict)
+    source: str = ""

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from fleetpose.evaluation.bench.cameras.bars import Attempt
-from fleetpose.evaluation.bench.cameras.scene import save
+from fleetpose.evaluation.bench.cameras.made.scene import save
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.robot_agent.cameras.stereo.pairs import PairFolder
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fleetpose.evaluation.bench.cameras.scene import save
-from fleetpose.evaluation.bench.cameras.variants import Variant
+from fleetpose.evaluation.bench.cameras.made.scene import save
+from fleetpose.evaluation.bench.cameras.made.variants import Variant
 
 Depth = npt.NDArray[np.float32]
 _K = "262.5 0 159.5\n0 262.5 119.5\n0 0 1\n"

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import yaml
 
-from fleetpose.evaluation.bench.cameras.known import (
+from fleetpose.evaluation.bench.cameras.made.known import (
     FISHEYE,
     SIDES,
     SIZE,

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from fleetpose.evaluation.bench.cameras.known import (
+from fleetpose.evaluation.bench.cameras.made.known import (
     FISHEYE,
     SIDES,
     SIZE,

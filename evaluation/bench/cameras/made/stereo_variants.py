@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from fleetpose.evaluation.bench.cameras.scene import (
+from fleetpose.evaluation.bench.cameras.made.scene import (
     FISHEYE_D,
     FISHEYE_K,
     RIG,
@@ -19,7 +19,7 @@ from fleetpose.evaluation.bench.cameras.scene import (
     seen,
     seen_through_fisheye,
 )
-from fleetpose.evaluation.bench.cameras.variants import Variant
+from fleetpose.evaluation.bench.cameras.made.variants import Variant
 
 Depth = npt.NDArray[np.float32]
 _SIZE = {"width": RIG.size[0], "height": RIG.size[1]}

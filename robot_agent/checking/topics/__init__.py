@@ -1,1 +1,0 @@
-"""`robot-agent topics`: what a bag or a robot has."""
