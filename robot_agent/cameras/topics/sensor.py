@@ -38,17 +38,22 @@ _FURTHEST_M = 1e8  # that an odometry may tell the fleet
 
 
 class TopicSource(Protocol):
-    """Where messages come from: a bag, or a robot that runs.
+    """Where messages come from: a bag, or a robot that runs."""
 
-    Attributes:
-        name: for errors.
-        what: it is, in words.
-        topics: those that there are.
-    """
+    @property
+    def name(self) -> str:
+        """For errors."""
+        ...
 
-    name: str
-    what: str
-    topics: Sequence[Topic]
+    @property
+    def what(self) -> str:
+        """What it is, in words."""
+        ...
+
+    @property
+    def topics(self) -> Sequence[Topic]:
+        """Those that there are."""
+        ...
 
     def first(self, topic: str) -> Any | None:
         """The first message of a topic that can be read, None without one."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.robot_agent.cameras.topics.mounting import Mounting
-from fleetpose.robot_agent.cameras.topics.options import TopicOptions
+from fleetpose.robot_agent.cameras.topics.options import TopicOptions, UpSource
 from fleetpose.robot_agent.cameras.topics.sensor import Sensor
 from fleetpose.rosmsg.bag import Recorded, Topic
 from fleetpose.rosmsg.roles import missing
@@ -110,7 +110,7 @@ def command(run: str, options: TopicOptions, calibration: Path | None) -> str:
 def _up(sensor: Sensor) -> str:
     """What may tell where up is."""
     roles, base = sensor.roles, sensor.mounting.base
-    sources = {
+    sources: dict[UpSource, tuple[str | None, str]] = {
         "imu": (roles.imu, "its accelerometer at rest"),
         "odom": (roles.odometry if base else None, "its odometry"),
         "tf": (base if sensor.tf.top(base) != base else None, "the uppermost frame of tf"),
