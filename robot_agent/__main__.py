@@ -161,7 +161,7 @@ def topics(
     which make a camera and why, and what is missing. A robot is listened to for two seconds.
     """
     from fleetpose.robot_agent.cameras.topics.options import TopicOptions
-    from fleetpose.robot_agent.checking.topic_report.command import report
+    from fleetpose.robot_agent.checking.topics.report import report
 
     logging.getLogger("fleetpose").propagate = False  # what readers warn of is printed as notes
     options = TopicOptions(namespace, image, depth, left, right, cloud, base, up=up)

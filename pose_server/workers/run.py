@@ -37,6 +37,14 @@ _prepared: OrderedDict[ViewName, PreparedView] = OrderedDict()
 _widened: OrderedDict[ViewName, PreparedView] = OrderedDict()
 
 
+def forget_views() -> None:
+    """Forgets what was prepared: views are named within a site's life only. Who plays several sites
+    in one process calls it between them.
+    """
+    _prepared.clear()
+    _widened.clear()
+
+
 def run_job(job: Job) -> PairResult:
     """Aligns the two views of a job; runs in a worker."""
     i, j = (without_moving(_view(encoded), encoded.mask) for encoded in (job.i, job.j))

@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,7 +18,7 @@ from fleetpose.evaluation.bench.cameras.made.variants import Variant
 from fleetpose.robot_agent.cameras.stereo.video import VideoSettings
 
 Depth = npt.NDArray[np.float32]
-_SIZE = {"width": RIG.size[0], "height": RIG.size[1]}
+_SIZE: dict[str, Any] = {"width": RIG.size[0], "height": RIG.size[1]}
 _COUNT = 3
 
 

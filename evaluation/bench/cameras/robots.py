@@ -149,7 +149,7 @@ def _said(site: Site, lines: list[str], at_s: int) -> dict[str, str]:
         for alarm in monitor.standing(site)
         if alarm.robot == "r2" and alarm.kind in ("blind", "frozen")
     ]
-    why = builders.why_not(site, "r2", ServerSettings(), float(at_s))
+    why = builders.why_not(site, "r2", ServerSettings.model_validate({}), float(at_s))
     told = why.alarms if isinstance(why, WhyNot) else ()
     log = [line for line in lines if "hardly any depth" in line or "camera frozen" in line]
     in_why = [text for text in told if text in alarms]

@@ -36,7 +36,7 @@ from fleetpose.pose_server.settings import ServerSettings
 from fleetpose.pose_server.state.site import Site
 from fleetpose.pose_server.state.views import open_view
 from fleetpose.pose_server.workers.jobs import Done, Job
-from fleetpose.pose_server.workers.run import run_job
+from fleetpose.pose_server.workers.run import forget_views, run_job
 from fleetpose.protocol.codec import encoding_of
 from fleetpose.protocol.drops import Drops
 from fleetpose.protocol.errors import CodecError, FleetPoseError
@@ -139,6 +139,7 @@ class ReplayServer:
         told: Callable[[float, str, Message], None],
         align: Aligner = run_job,
     ) -> None:
+        forget_views()
         settings = ServerSettings.model_validate({"site": keys.site})
         self.site = Site(
             correspondences=CorrespondenceStore(_Remembered(recorded)), anchor=recorded.anchor

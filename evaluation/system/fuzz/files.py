@@ -16,7 +16,7 @@ import cv2
 
 from fleetpose.evaluation.bench.cameras import layouts
 from fleetpose.evaluation.bench.cameras.calibrations import FILES
-from fleetpose.evaluation.bench.cameras.known import SIZE
+from fleetpose.evaluation.bench.cameras.made.known import SIZE
 from fleetpose.evaluation.report import output
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.robot_agent.cameras.calibrations.reading import read_rig_file
@@ -25,6 +25,7 @@ from fleetpose.robot_agent.cameras.rgbd.recording import open_camera
 
 SLOW_S = 1.0
 _HUNG_S = 10.0
+_TOLD = 20
 _DEEDS = 3  # at most, on one file
 _NUMBER = re.compile(rb"-?\d+\.?\d*(?:e[+-]?\d+)?")
 _NUMBERS = (b"nan", b"inf", b"-inf", b"1e308", b"-0", b"0", b"1e-320", b"9" * 400, b"0x1f", b"1,5")
@@ -49,7 +50,7 @@ class Subject:
 
 def run(count: int, out: Path, seed: int = 0) -> dict[str, Any]:
     """Damages so many files, one at a time; returns the summary and writes it."""
-    cv2.setLogLevel(0)
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     chance, found = random.Random(seed), Counter[str]()
     ended: list[str] = []
     slowest_s = 0.0
@@ -62,8 +63,9 @@ def run(count: int, out: Path, seed: int = 0) -> dict[str, Any]:
             known = kind in ("read", "refused")
             found[kind if known else "ended"] += 1
             found["slow"] += seconds > SLOW_S
-            if not known and len(ended) < 20:
-                ended.append(f"{subject.path.parent.name}/{subject.path.name}: {kind}")
+            if (not known or seconds > SLOW_S) and len(ended) < _TOLD:
+                name = f"{subject.path.parent.name}/{subject.path.name}"
+                ended.append(f"{name}: {kind} after {seconds:.2f} s")
     summary = {
         "files": count,
         "counted": found["read"] + found["refused"] + found["ended"],
@@ -136,8 +138,8 @@ def _subjects(scratch: Path) -> list[Subject]:
     for variant in layouts.VARIANTS:
         if variant.kind != "rgbd":
             continue
-        folder = scratch / variant.name
-        folder.mkdir()
+        folder = scratch / "folders" / variant.name
+        folder.mkdir(parents=True)
         variant.write(folder)
         for path in sorted(folder.rglob("*.txt")) + sorted(folder.rglob("*.json")):
             found.append(Subject(path, folder, lambda at: open_camera(str(at), "once")))

@@ -15,6 +15,7 @@ from fleetpose.robot_agent.cameras.calibrations.lens import (
     pinhole,
     rigid,
     sideways,
+    size_of,
 )
 from fleetpose.robot_agent.cameras.folders.files import read_numbers
 
@@ -43,7 +44,7 @@ def read_kitti(content: Mapping[str, Any], where: str, colour: bool = False) -> 
     size = None
     if (said := content.get(names[0].replace("P_", "S_"))) is not None and "rect" in names[0]:
         width, height = numbers({"S": said}, "S", where, 2)
-        size = int(width), int(height)
+        size = size_of({"w": width, "h": height}, where, "w", "h")
     return StereoPair(
         Lens(left[:, :3], np.zeros(5)), Lens(right[:, :3], np.zeros(5)), sideways(baseline), size
     )
@@ -60,9 +61,7 @@ def read_middlebury(content: Mapping[str, Any], where: str) -> StereoPair:
         Lens(numbers(content, name, where, 9).reshape(3, 3), np.zeros(5))
         for name in ("cam0", "cam1")
     ]
-    size = None
-    if "width" in content and "height" in content:
-        size = int(content["width"]), int(content["height"])
+    size = size_of(content, where, "width", "height")
     baseline = _MM * float(numbers(content, "baseline", where, 1)[0])
     return StereoPair(lenses[0], lenses[1], sideways(baseline), size)
 

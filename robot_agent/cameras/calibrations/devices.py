@@ -16,6 +16,7 @@ from fleetpose.robot_agent.cameras.calibrations.lens import (
     numbers,
     pinhole,
     rigid,
+    size_of,
 )
 
 _ZED_SIZES = {
@@ -103,10 +104,8 @@ def read_oak(content: Mapping[str, Any], where: str) -> StereoPair:
         if not isinstance(cameras.get(socket), Mapping):
             raise CalibrationError(f"{where} (OAK) lacks the {side} camera, of socket {socket}")
     lenses = [_oak_lens(cameras[socket], where) for socket in (left, right)]
-    size = int(cameras[left].get("width", 0)), int(cameras[left].get("height", 0))
-    return StereoPair(
-        lenses[0], lenses[1], _oak_between(cameras, left, right, where), size if all(size) else None
-    )
+    size = size_of(cameras[left], where, "width", "height")
+    return StereoPair(lenses[0], lenses[1], _oak_between(cameras, left, right, where), size)
 
 
 def _oak_lens(camera: Mapping[str, Any], where: str) -> Lens:

@@ -19,6 +19,7 @@ _FISHEYE = ("fisheye", "equi", "equidistant", "kannala", "kb4", "kb8")
 FURTHEST_CENTRE = 0.18
 """Share of the image's side by which the optical axis may be off its middle where no file says the
 size; half the size has 0.25, and crops of data sets have up to 0.1."""
+MAX_SIZE = 65536  # px
 _ALIKE = 0.1  # by which its place may differ across and down, of images of another size
 _NORMAL = ("radtan", "plumb", "radial", "rational", "pinhole", "brown", "none", "normal")
 
@@ -82,6 +83,25 @@ def numbers(content: Mapping[str, Any], name: str, where: str, *counts: int) -> 
     return found
 
 
+def size_of(
+    content: Mapping[str, Any],
+    where: str,
+    width: str = "image_width",
+    height: str = "image_height",
+) -> tuple[int, int] | None:
+    """Width and height under their names, px; None where a file has not both.
+
+    Raises:
+        CalibrationError: they are no size.
+    """
+    if content.get(width) is None or content.get(height) is None:
+        return None
+    w, h = (float(numbers(content, name, where, 1)[0]) for name in (width, height))
+    if not (0 < w <= MAX_SIZE and 0 < h <= MAX_SIZE):
+        raise CalibrationError(f"{where}: {width} {w:g} and {height} {h:g} are no size of images")
+    return int(w), int(h)
+
+
 def flat(value: Any, name: str, where: str) -> Floats:
     """A matrix as nested lists, as a map with `data`, or as a line of numbers.
 
@@ -94,7 +114,7 @@ def flat(value: Any, name: str, where: str) -> Floats:
         value = value.replace(",", " ").split()
     try:
         found = np.array(value, np.float64).reshape(-1)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise CalibrationError(f"{where}: {name} holds no numbers") from error
     if not np.isfinite(found).all():
         raise CalibrationError(f"{where}: {name} holds no numbers")

@@ -19,6 +19,7 @@ from fleetpose.robot_agent.cameras.calibrations.lens import (
     pinhole,
     rigid,
     sideways,
+    size_of,
 )
 
 _NORMAL = ("k1", "k2", "p1", "p2", "k3")
@@ -52,7 +53,7 @@ def _two(content: Mapping[str, Any], where: str) -> StereoPair:
     D = [numbers(content, f"{side}.D", where, 4, 5, 8) for side in ("LEFT", "RIGHT")]
     R = [numbers(content, f"{side}.R", where, 9).reshape(3, 3) for side in ("LEFT", "RIGHT")]
     P_right = numbers(content, "RIGHT.P", where, 12).reshape(3, 4)
-    size = _size(content, "LEFT.width", "LEFT.height") or _size(content)
+    size = _size(content, where, "LEFT.width", "LEFT.height") or _size(content, where)
     return StereoPair(
         Lens(K[0], D[0]), Lens(K[1], D[1]), between_rectified(R[0], R[1], P_right), size
     )
@@ -69,14 +70,17 @@ def _rectified(content: Mapping[str, Any], where: str) -> StereoPair:
             "RIGHT.P, or undistort and rectify the images and set its distortion to 0"
         )
     bf = float(numbers(content, "Camera.bf", where, 1)[0])
-    return StereoPair(lens, lens, sideways(bf / lens.K[0, 0]), _size(content))
+    return StereoPair(lens, lens, sideways(bf / lens.K[0, 0]), _size(content, where))
 
 
 def _three(content: Mapping[str, Any], where: str) -> StereoPair:
     if "Stereo.b" in content and "Stereo.T_c1_c2" not in content:
         lens = _lens(content, "Camera1", where)
         return StereoPair(
-            lens, lens, sideways(float(numbers(content, "Stereo.b", where, 1)[0])), _size(content)
+            lens,
+            lens,
+            sideways(float(numbers(content, "Stereo.b", where, 1)[0])),
+            _size(content, where),
         )
     first = "Camera1" if "Camera1.fx" in content else "Camera"
     lenses = [_lens(content, name, where) for name in (first, "Camera2")]
@@ -87,7 +91,7 @@ def _three(content: Mapping[str, Any], where: str) -> StereoPair:
         T_left_right = rigid(T[:3, :3], T[:3, 3])
     else:
         raise CalibrationError(f"{where} (ORB-SLAM3) lacks Stereo.T_c1_c2")
-    return StereoPair(lenses[0], lenses[1], inverted(T_left_right), _size(content))
+    return StereoPair(lenses[0], lenses[1], inverted(T_left_right), _size(content, where))
 
 
 def _lens(content: Mapping[str, Any], camera: str, where: str) -> Lens:
@@ -105,8 +109,9 @@ def _lens(content: Mapping[str, Any], camera: str, where: str) -> Lens:
 
 
 def _size(
-    content: Mapping[str, Any], width: str = "Camera.width", height: str = "Camera.height"
+    content: Mapping[str, Any],
+    where: str,
+    width: str = "Camera.width",
+    height: str = "Camera.height",
 ) -> tuple[int, int] | None:
-    if width in content and height in content:
-        return int(content[width]), int(content[height])
-    return None
+    return size_of(content, where, width, height)

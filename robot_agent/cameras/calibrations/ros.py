@@ -14,6 +14,7 @@ from fleetpose.robot_agent.cameras.calibrations.lens import (
     between_rectified,
     lens_model,
     numbers,
+    size_of,
 )
 
 _OF_MESSAGES = {
@@ -50,9 +51,7 @@ def read(left: Mapping[str, Any], right: Mapping[str, Any], where: str) -> Stere
         numbers(eye, "rectification_matrix", where, 9).reshape(3, 3) for eye in (left, right)
     ]
     lenses = [_lens(eye, where) for eye in (left, right)]
-    size = None
-    if "image_width" in left and "image_height" in left:
-        size = int(left["image_width"]), int(left["image_height"])
+    size = size_of(left, where)
     return StereoPair(
         lenses[0], lenses[1], between_rectified(rotations[0], rotations[1], P[1]), size
     )

@@ -15,8 +15,10 @@ from fleetpose.protocol.errors import CalibrationError
 from fleetpose.robot_agent.cameras.folders.files import text_of
 
 MAX_BYTES = 4 * 1024 * 1024
+_MOST_VALUES = 200_000
 _OPENCV_HEADER = re.compile(r"\A\s*%YAML[^\n]*\n")  # of a kind that YAML itself does not know
 _TIGHT = re.compile(r"^(\s*[\w.]+):(?=[\[{])", re.MULTILINE)  # `data:[1` is no map to YAML
+_DEEP = re.compile(r"(?:[\[{]\s*){64}|(?:- ?){64} |(?:\w+: ?){64}|(?:<\w+>\s*){64}")
 _SECTION = re.compile(r"\A\s*\[[\w ]+\]\s*$", re.MULTILINE)
 _ASSIGNED = re.compile(r"\A\s*\w+\s*=")
 
@@ -28,6 +30,8 @@ def read_tree(path: Path) -> dict[str, Any]:
         CalibrationError: it cannot be read; the sentence says where it breaks.
     """
     text = _text_of(path)
+    if _DEEP.search(text):
+        raise CalibrationError(f"{path} is nested deeper than any calibration")
     start = text.lstrip()[:1]
     if start == "{":
         content = _json(path, text)
@@ -39,9 +43,24 @@ def read_tree(path: Path) -> dict[str, Any]:
         content = _assigned(text)
     else:
         content = _yaml(path, text)
+    if not _ends(content):
+        raise CalibrationError(f"{path} holds itself, or more than any calibration")
     if not isinstance(content, dict) or not content:
         raise CalibrationError(f"{path} holds no names with matrices")
     return {str(name): value for name, value in content.items()}
+
+
+def _ends(content: Any) -> bool:
+    """Whether what lies in it can be counted: YAML's aliases can lead back to themselves."""
+    waiting, seen = [content], 0
+    while waiting and seen <= _MOST_VALUES:
+        value = waiting.pop()
+        seen += 1
+        if isinstance(value, dict):
+            waiting += value.values()
+        elif isinstance(value, list):
+            waiting += value
+    return not waiting
 
 
 def _text_of(path: Path) -> str:

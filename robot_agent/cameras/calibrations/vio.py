@@ -17,6 +17,7 @@ from fleetpose.robot_agent.cameras.calibrations.lens import (
     numbers,
     pinhole,
     rigid,
+    size_of,
 )
 
 
@@ -36,7 +37,7 @@ def read_sensors(left: Mapping[str, Any], right: Mapping[str, Any], where: str) 
         )
         for eye in (left, right)
     ]
-    return StereoPair(lenses[0], lenses[1], _between(*T_body), _size(left.get("resolution")))
+    return StereoPair(lenses[0], lenses[1], _between(*T_body), _size(left.get("resolution"), where))
 
 
 def is_vins(content: Mapping[str, Any]) -> bool:
@@ -50,9 +51,7 @@ def read_vins(
     """Of VINS-Fusion's configuration and camodocal's cameras."""
     T_body = [numbers(content, f"body_T_cam{k}", where, 16).reshape(4, 4) for k in (0, 1)]
     lenses = [_camodocal(eye, where) for eye in (left, right)]
-    size = None
-    if "image_width" in left and "image_height" in left:
-        size = int(left["image_width"]), int(left["image_height"])
+    size = size_of(left, where)
     return StereoPair(lenses[0], lenses[1], _between(*T_body), size)
 
 
@@ -100,7 +99,7 @@ def read_basalt(content: Mapping[str, Any], where: str) -> StereoPair:
         raise CalibrationError(f"{where} (Basalt) needs T_imu_cam and intrinsics of two cameras")
     lenses = [_basalt_lens(camera, where) for camera in cameras]
     resolution = value.get("resolution")
-    size = _size(resolution[0]) if isinstance(resolution, list) and resolution else None
+    size = _size(resolution[0], where) if isinstance(resolution, list) and resolution else None
     return StereoPair(
         lenses[0], lenses[1], _between(*(_posed(pose, where) for pose in poses)), size
     )
@@ -148,5 +147,7 @@ def _between(T_body_left: Floats, T_body_right: Floats) -> Floats:
     return inverted(T_body_right) @ T_body_left
 
 
-def _size(value: Any) -> tuple[int, int] | None:
-    return (int(value[0]), int(value[1])) if isinstance(value, list) and len(value) == 2 else None
+def _size(value: Any, where: str) -> tuple[int, int] | None:
+    if not isinstance(value, list) or len(value) != 2:
+        return None
+    return size_of(dict(zip(("width", "height"), value, strict=True)), where, "width", "height")

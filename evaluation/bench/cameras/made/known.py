@@ -72,7 +72,7 @@ def opencv_file(path: Path, content: dict[str, Any]) -> Path:
     return path
 
 
-def opencv_matrix(name: str, M: Floats) -> str:
+def opencv_matrix(name: str, M: npt.ArrayLike) -> str:
     """A matrix in OpenCV's dialect of YAML, with all digits, as people copy it into settings."""
     M = np.atleast_2d(M)
     numbers = ", ".join(map(repr, M.reshape(-1).tolist()))

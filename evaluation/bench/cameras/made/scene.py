@@ -99,10 +99,10 @@ def seen_with(depth_m: npt.NDArray[np.float32], K: Floats, size: tuple[int, int]
     pixels = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1]), [1.0]), -1)
     places = pixels.reshape(-1, 3) @ (RIG.K_left @ np.linalg.inv(K)).T
     places = places[:, :2].reshape(size[1], size[0], 2).astype(np.float32)
-    found = cv2.remap(
+    found = cv2.remap(  # pyright: ignore[reportCallIssue] (its stubs know two maps only)
         depth_m,
         places,
-        None,
+        None,  # pyright: ignore[reportArgumentType]
         cv2.INTER_NEAREST,
         borderMode=cv2.BORDER_CONSTANT,
         borderValue=np.nan,  # pyright: ignore[reportArgumentType, reportCallIssue]
@@ -115,7 +115,7 @@ def save(path: Path, image: npt.NDArray[np.generic]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".pgm" and image.ndim == 3:
         image = image[..., 1]  # its format knows no colours
-    cv2.imwrite(str(path), image)
+    cv2.imwrite(str(path), np.asarray(image))  # pyright: ignore[reportArgumentType, reportCallIssue]
 
 
 def half(image: Image) -> Image:

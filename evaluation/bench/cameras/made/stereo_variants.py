@@ -3,6 +3,7 @@
 import json
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,7 +23,7 @@ from fleetpose.evaluation.bench.cameras.made.scene import (
 from fleetpose.evaluation.bench.cameras.made.variants import Variant
 
 Depth = npt.NDArray[np.float32]
-_SIZE = {"width": RIG.size[0], "height": RIG.size[1]}
+_SIZE: dict[str, Any] = {"width": RIG.size[0], "height": RIG.size[1]}
 
 
 def _pairs(folder: Path, shot: Shot, names: tuple[str, str] = ("0000.png", "0000.png")) -> None:

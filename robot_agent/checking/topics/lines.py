@@ -1,5 +1,5 @@
-"""What is said of topics, of a bag or of a robot that runs: a line for each, which make a camera
-and why, what is missing, and the command.
+"""What is said of topics, of a bag or of a robot that runs: a line for each, those that make
+a camera and why, what is missing, and the command.
 """
 
 import shlex

@@ -8,8 +8,8 @@ from pathlib import Path
 from fleetpose.protocol.errors import CodecError, FleetPoseError
 from fleetpose.robot_agent.cameras.bag.options import BagOptions
 from fleetpose.robot_agent.cameras.bag.recording import BagRecording
-from fleetpose.robot_agent.checking.topic_report import lines
-from fleetpose.robot_agent.checking.topic_report.lines import Seen
+from fleetpose.robot_agent.checking.topics import lines
+from fleetpose.robot_agent.checking.topics.lines import Seen
 from fleetpose.rosmsg.bag import Bag
 from fleetpose.rosmsg.roles import HEADED
 

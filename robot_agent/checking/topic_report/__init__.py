@@ -1,1 +1,0 @@
-"""What `robot-agent topics` says, of a bag or of a robot that runs."""

@@ -1,0 +1,1 @@
+"""`robot-agent topics`: what a bag or a robot has."""
