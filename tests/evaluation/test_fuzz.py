@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from fleetpose.evaluation.system.fuzz import command
+from fleetpose.evaluation.system.fuzz import command, ros
 from fleetpose.evaluation.system.fuzz.state import changes
 from fleetpose.evaluation.system.fuzz.targets import OPERATOR, targets_of
 from fleetpose.protocol.codec import encoding_of, pack
@@ -93,3 +93,15 @@ def test_a_short_fuzz_of_live_processes_passes(tmp_path):
     assert summary["messages"] == 300 and summary["leftover_processes"] == 0
     assert not command.passed({**summary, "counted": summary["counted"] - 1})
     assert (tmp_path / "out" / "summary.json").exists()
+
+
+def test_damaged_input_of_ros_is_refused_or_taken_and_never_escapes(tmp_path):
+    summary = ros.run(300, tmp_path, seed=5)
+    assert ros.passed(summary), summary
+    assert summary["given"] == 300 and summary["refused"] > 50 and summary["taken"] > 50
+
+
+def test_what_comes_out_as_another_error_is_told_and_does_not_pass():
+    outcome = ros.Outcome()
+    outcome.give("a piece", lambda: {}["missing"])
+    assert outcome.escaped.total() == 1 and not outcome.refused and not outcome.taken

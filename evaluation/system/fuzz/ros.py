@@ -85,11 +85,11 @@ def run(count: int, out: Path, seed: int = 0) -> dict[str, Any]:
     if count < len(SHARES):
         raise FleetPoseError(f"--count {count}: give {len(SHARES)} or more")
     output.output_folder(out)
-    logging.getLogger("fleetpose").setLevel(logging.ERROR)  # what readers warn of is counted here
     chance, outcome = random.Random(seed), Outcome()
     shares = {kind: max(int(share * count), 1) for kind, share in SHARES.items()}
     shares["messages"] += count - sum(shares.values())
     with ExitStack() as closing:
+        closing.enter_context(_quiet())
         folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="fleetpose-")))
         wire = closing.enter_context(Wire.opened())
         pieces: dict[str, Pieces] = {
@@ -136,6 +136,18 @@ def _told(outcome: Outcome, frames_after: int, out: Path) -> dict[str, Any]:
     for where, trace in list(outcome.traces.items())[:_TOLD]:
         print(f"{outcome.escaped[where]} x {where}\n{trace}")
     return summary
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """What readers warn of is counted here."""
+    logger = logging.getLogger("fleetpose")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 @contextmanager

@@ -204,7 +204,7 @@ def _write1(path: Path, robot: Robot) -> None:
     with Rosbag1(path) as writer:
         for topic in ("/c/image_raw", "/depth/image_raw"):
             kind = robot.types[topic]
-            image = types.deserialize_cdr(robot.raw[topic], kind)
+            image: Any = types.deserialize_cdr(robot.raw[topic], kind)
             head = image.header
             image.header = store.types["std_msgs/msg/Header"](0, head.stamp, head.frame_id)
             connection = writer.add_connection(topic, kind, typestore=store)

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import zenoh
@@ -49,22 +49,23 @@ class Wire:
         endpoint = f"tcp/127.0.0.1:{free_port()}"
         with ExitStack() as closing:
 
-            def link(**given: tuple[str, ...]) -> Link:
-                opened = Link(open_session(SessionSettings(**given)))
+            def link(settings: SessionSettings) -> Link:
+                opened = Link(open_session(settings))
                 closing.callback(opened.close)
                 return opened
 
-            link(listen=(endpoint,))
+            client = SessionSettings(connect=(endpoint,))
+            link(SessionSettings(listen=(endpoint,)))
             stop = threading.Event()
-            stand_in = StandIn(Node(link(connect=(endpoint,)), "jazzy"), "/r1", _sight())
+            stand_in = StandIn(Node(link(client), "jazzy"), "/r1", _sight())
             thread = threading.Thread(target=stand_in.run, args=(stop,), daemon=True)
             thread.start()
             closing.callback(thread.join)
             closing.callback(stop.set)
             camera = open_camera(endpoint, "once", ros=RosOptions(namespace="/r1"))
             closing.callback(camera.close)
-            network = RosNetwork(link(connect=(endpoint,)), _DOMAIN)
-            yield cls(camera, network, link(connect=(endpoint,)))
+            network = RosNetwork(link(client), _DOMAIN)
+            yield cls(camera, network, link(client))
 
     def pieces(self, chance: random.Random) -> Pieces:
         """Damaged messages, one after the other, with whatever attachment."""
@@ -126,12 +127,10 @@ def _attachment(chance: random.Random) -> bytes | None:
 
 def _sight() -> Sight:
     robot: Robot = robots()["raw"]
-    raw = rmw_zenoh.types().deserialize_cdr
-    image, depth = (
-        raw(robot.raw[topic], robot.types[topic]) for topic in ("/c/image_raw", "/depth/image_raw")
+    image, depth, info = (
+        _read(robot, topic) for topic in ("/c/image_raw", "/depth/image_raw", "/c/camera_info")
     )
     width, height = SIZE
-    info = raw(robot.raw["/c/camera_info"], robot.types["/c/camera_info"])
     return Sight(
         [np.array(image.data).reshape(height, width, 3)],
         [np.array(depth.data).view(np.uint16).reshape(height, width)],
@@ -139,3 +138,7 @@ def _sight() -> Sight:
         np.eye(4),
         np.eye(4),
     )
+
+
+def _read(robot: Robot, topic: str) -> Any:
+    return rmw_zenoh.types().deserialize_cdr(robot.raw[topic], robot.types[topic])

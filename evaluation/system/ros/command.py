@@ -24,6 +24,16 @@ from fleetpose.rosmsg.live.names import name_of
 FIRST_POSE_S, MB_PER_S, CORE_PERCENT = 10.0, 3.0, 3.0
 """The bars."""
 _UP_WITHIN_S = 150.0  # on a machine that has other things to do
+_COLUMNS = {
+    "robot": "name",
+    "dialect": "dialect",
+    "verified": "verified",
+    "off m": "position_error_m",
+    "off deg": "rotation_error_deg",
+    "MB/s": "agent_mb_per_s",
+    "core %": "alone_core_percent",
+    "age ms": "alone_age_ms",
+}
 _TOOK = re.compile(r" took pairs=(\d+) mb_per_s=([\d.]+)")
 
 
@@ -93,11 +103,16 @@ def run(options: RosOptions, out: Path) -> dict[str, Any]:
         "leftover_processes": leftover,
     }
     output.write_summary(out, summary)
-    rows = [tuple(one.values()) for one in told]
-    output.print_table("robots", tuple(told[0]), rows)
+    rows = [[one.get(column) for column in _COLUMNS.values()] for one in told]
+    output.print_table("robots", tuple(_COLUMNS), rows)
     for line in bars(summary):
         print(line)
     return summary
+
+
+def passed(summary: Mapping[str, Any]) -> bool:
+    """Whether every bar is met."""
+    return all(line.startswith("met") for line in bars(summary))
 
 
 def bars(summary: Mapping[str, Any]) -> list[str]:

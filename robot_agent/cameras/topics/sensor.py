@@ -38,19 +38,22 @@ _FURTHEST_M = 1e8  # that an odometry may tell the fleet
 
 
 class TopicSource(Protocol):
-    """Where messages come from: a bag, or a robot that runs.
-
-    Attributes:
-        name: for errors.
-        what: it is, in words.
-        topics: those that there are.
-    """
-
-    name: str
-    what: str
+    """Where messages come from: a bag, or a robot that runs."""
 
     @property
-    def topics(self) -> Sequence[Topic]: ...
+    def name(self) -> str:
+        """For errors."""
+        ...
+
+    @property
+    def what(self) -> str:
+        """What it is, in words."""
+        ...
+
+    @property
+    def topics(self) -> Sequence[Topic]:
+        """Those that there are."""
+        ...
 
     def first(self, topic: str) -> Any | None:
         """The first message of a topic that can be read, None without one."""

@@ -8,13 +8,8 @@ from pathlib import Path
 from fleetpose.protocol.errors import CodecError, FleetPoseError
 from fleetpose.robot_agent.cameras.bag.options import BagOptions
 from fleetpose.robot_agent.cameras.bag.recording import BagRecording
-<<<<<<<< HEAD:robot_agent/checking/topic_report/of_bag.py
-from fleetpose.robot_agent.checking.topic_report import lines
-from fleetpose.robot_agent.checking.topic_report.lines import Seen
-========
 from fleetpose.robot_agent.checking.topics import lines
 from fleetpose.robot_agent.checking.topics.lines import Seen
->>>>>>>> live:robot_agent/checking/topics/bag.py
 from fleetpose.rosmsg.bag import Bag
 from fleetpose.rosmsg.roles import HEADED
 

@@ -1,10 +1,5 @@
-<<<<<<<< HEAD:robot_agent/checking/topic_report/lines.py
-"""What is said of topics, of a bag or of a robot that runs: a line for each, which make a camera
-and why, what is missing, and the command.
-========
 """What is said of topics, of a bag or of a robot that runs: a line for each, those that make
 a camera and why, what is missing, and the command.
->>>>>>>> live:robot_agent/checking/topics/lines.py
 """
 
 import shlex
@@ -115,7 +110,7 @@ def command(run: str, options: TopicOptions, calibration: Path | None) -> str:
 def _up(sensor: Sensor) -> str:
     """What may tell where up is."""
     roles, base = sensor.roles, sensor.mounting.base
-    sources: dict[UpSource, tuple[object, str]] = {
+    sources: dict[UpSource, tuple[str | None, str]] = {
         "imu": (roles.imu, "its accelerometer at rest"),
         "odom": (roles.odometry if base else None, "its odometry"),
         "tf": (base if sensor.tf.top(base) != base else None, "the uppermost frame of tf"),

@@ -13,13 +13,8 @@ from fleetpose.robot_agent.cameras.ros.finding import RobotTopics, of_one_robot
 from fleetpose.robot_agent.cameras.ros.network import RosNetwork
 from fleetpose.robot_agent.cameras.ros.options import RosOptions
 from fleetpose.robot_agent.cameras.topics.sensor import Sensor
-<<<<<<<< HEAD:robot_agent/checking/topic_report/of_robot.py
-from fleetpose.robot_agent.checking.topic_report import lines
-from fleetpose.robot_agent.checking.topic_report.lines import Seen
-========
 from fleetpose.robot_agent.checking.topics import lines
 from fleetpose.robot_agent.checking.topics.lines import Seen
->>>>>>>> live:robot_agent/checking/topics/live.py
 from fleetpose.rosmsg.bag import Recorded, Topic
 from fleetpose.rosmsg.live.names import name_of
 from fleetpose.rosmsg.roles import HEADED

@@ -11,11 +11,7 @@ from fleetpose.robot_agent.cameras.bag.options import BagOptions
 from fleetpose.robot_agent.cameras.ros.options import RosOptions
 from fleetpose.robot_agent.cameras.topics.options import TopicOptions
 from fleetpose.robot_agent.checking.told import Told
-<<<<<<<< HEAD:robot_agent/checking/topic_report/command.py
-from fleetpose.robot_agent.checking.topic_report import of_bag, of_robot
-========
 from fleetpose.robot_agent.checking.topics import bag, live
->>>>>>>> live:robot_agent/checking/topics/report.py
 
 _ENDPOINT = re.compile(r"(tcp|tls|udp|quic|ws|unixsock-stream)/.+")
 
@@ -38,15 +34,9 @@ def report(
     given = asdict(options)
     with Told() as told:
         if is_endpoint(source):
-<<<<<<<< HEAD:robot_agent/checking/topic_report/command.py
-            yield from of_robot.report(source, RosOptions(**given, domain=domain), calibration)
-        else:
-            yield from of_bag.report(source, BagOptions(**given), calibration)
-========
             yield from live.report(source, RosOptions(**given, domain=domain), calibration)
         else:
             yield from bag.report(source, BagOptions(**given), calibration)
->>>>>>>> live:robot_agent/checking/topics/report.py
         for line in told.lines:
             yield f"  note        {line}"
 
