@@ -120,8 +120,8 @@ def _of_another_lens(
     except (CheckError, CalibrationError):
         return ""
     before_px, after_px = _row_error(report), _row_error(other)
-    if other.verdict == "does not fit" or after_px > _MUCH_BETTER * before_px:
-        return ""
+    if other.verdict == "does not fit" or not after_px < _MUCH_BETTER * before_px:
+        return ""  # also where neither finds rows: both are inf
     kind, name = ("a normal lens", "radtan") if is_fisheye else ("a fisheye", "equidistant")
     return (
         f"the distortion is that of {kind}: with it matches are {after_px:.2f} px off their rows "

@@ -88,11 +88,12 @@ FAULTS: dict[str, Callable[[Eyes, Eyes], Eyes]] = {
 
 def bar() -> Bar:
     """Every fault, each of a fleet of its own."""
-    attempts = [one for name in FAULTS for one in _tried(name)]
+    attempts = [one for name in FAULTS for one in tried(name)]
     return Bar("e cameras that fail", attempts, unit=f"named within {WITHIN_S} s")
 
 
-def _tried(name: str) -> Iterator[Attempt]:
+def tried(name: str) -> Iterator[Attempt]:
+    """One fault: four attempts, that its robot is named in each place, and not asked about."""
     device, matcher, repeats = Device(FAULTS[name]), StereoMatcher(RIG), Repeats("r2")
     site, sight = Site(CorrespondenceStore(_Forgetful())), Sight("r2")
     thin = _thinned if name.startswith("97") else (lambda frame: frame)

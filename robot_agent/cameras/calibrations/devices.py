@@ -11,8 +11,8 @@ from fleetpose.robot_agent.cameras.calibrations.lens import (
     Floats,
     Lens,
     StereoPair,
-    flat,
     inverted,
+    number,
     numbers,
     pinhole,
     rigid,
@@ -74,7 +74,7 @@ def _zed_lens(content: Mapping[str, Any], section: str, where: str) -> Lens:
 
 
 def _zed_number(section: Mapping[str, Any], name: str, where: str) -> float:
-    return float(flat(section.get(name.lower(), 0.0), name, where)[0])
+    return number(section.get(name.lower(), 0.0), name, where)
 
 
 def _zed_shift(stereo: Mapping[str, Any], name: str, mode: str, where: str) -> float:
@@ -128,7 +128,7 @@ def _oak_between(cameras: Mapping[int, Any], left: int, right: int, where: str) 
             continue
         R = numbers(joined, "rotationMatrix", where, 9).reshape(3, 3)
         t = _CM * np.array([float(numbers(shift, axis, where, 1)[0]) for axis in "xyz"])
-        T_next[socket] = int(joined["toCameraSocket"]), rigid(R, t)
+        T_next[socket] = int(number(joined["toCameraSocket"], "toCameraSocket", where)), rigid(R, t)
     ways = {socket: _oak_way(T_next, socket) for socket in (left, right)}
     shared = next((socket for socket in ways[left] if socket in ways[right]), None)
     if shared is None:

@@ -102,6 +102,15 @@ def size_of(
     return int(w), int(h)
 
 
+def number(value: Any, name: str, where: str) -> float:
+    """One number, whichever way the file nests it.
+
+    Raises:
+        CalibrationError: it is none, or several.
+    """
+    return float(numbers({name: value}, name, where, 1)[0])
+
+
 def flat(value: Any, name: str, where: str) -> Floats:
     """A matrix as nested lists, as a map with `data`, or as a line of numbers.
 
@@ -134,8 +143,15 @@ def rigid(R: Floats, t: Floats) -> Floats:
 
 
 def inverted(T: Floats) -> Floats:
-    """The inverse of a (4, 4)."""
-    return np.asarray(np.linalg.inv(T), np.float64)
+    """The inverse of a (4, 4).
+
+    Raises:
+        CalibrationError: it has none, as a matrix of a pose has.
+    """
+    try:
+        return np.asarray(np.linalg.inv(T), np.float64)
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(f"{np.round(T, 4).tolist()} is no pose of a camera") from error
 
 
 def sideways(baseline: float) -> Floats:

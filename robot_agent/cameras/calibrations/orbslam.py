@@ -12,9 +12,9 @@ from fleetpose.robot_agent.cameras.calibrations.lens import (
     Lens,
     StereoPair,
     between_rectified,
-    flat,
     inverted,
     lens_model,
+    number,
     numbers,
     pinhole,
     rigid,
@@ -104,7 +104,7 @@ def _lens(content: Mapping[str, Any], camera: str, where: str) -> Lens:
     kind = str(content.get("Camera.type", "PinHole"))
     model = "normal" if kind == "Rectified" else lens_model(kind, where)
     names = _FISHEYE if model == "fisheye" else _NORMAL
-    D = [float(flat(content.get(f"{camera}.{name}", 0.0), name, where)[0]) for name in names]
+    D = [number(content.get(f"{camera}.{name}", 0.0), name, where) for name in names]
     return Lens(K, np.array(D), model)
 
 

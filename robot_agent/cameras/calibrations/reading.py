@@ -191,9 +191,9 @@ def _read(path: Path, content: Mapping[str, Any], size: Size | None) -> StereoPa
 def _vins(path: Path, content: Mapping[str, Any]) -> StereoPair:
     files = [path.parent / str(content[name]) for name in ("cam0_calib", "cam1_calib")]
     for file in files:
-        if not file.is_file():
+        if file.name not in {one.name for one in path.parent.iterdir()}:
             raise CalibrationError(
-                f"{path} (VINS-Fusion) names {file.name}, which is not beside it"
+                f"{path} (VINS-Fusion) names {file.name[:80]}, which is not beside it"
             )
     return vio.read_vins(content, read_tree(files[0]), read_tree(files[1]), str(path))
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from fleetpose.protocol.errors import CalibrationError
 from fleetpose.protocol.messages import NoiseModel
-from fleetpose.robot_agent.cameras.calibrations.lens import Floats, flat, pinhole
+from fleetpose.robot_agent.cameras.calibrations.lens import Floats, flat, number, pinhole
 from fleetpose.robot_agent.cameras.calibrations.tree import read_tree
 from fleetpose.robot_agent.cameras.folders.files import noise_of, read_numbers
 
@@ -96,10 +96,10 @@ def _of_names(path: Path) -> Intrinsics:
     noise = noise_of(content["noise"], path) if "noise" in content else None
     values = dict(_names(content))
     scale = next((values[name] for name in _SCALES if name in values), None)
-    steps_per_m = None if scale is None else float(flat(scale, "the scale of depth", where)[0])
+    steps_per_m = None if scale is None else number(scale, "the scale of depth", where)
     four = [values.get(name) for name in ("fx", "fy", "cx", "cy")]
     if all(value is not None for value in four):
-        K = pinhole(*(float(flat(value, "fx, fy, cx, cy", where)[0]) for value in four))
+        K = pinhole(*(number(value, "fx, fy, cx, cy", where) for value in four))
         return Intrinsics(K, steps_per_m, noise)
     matrix = next((values[name] for name in _MATRICES if name in values), None)
     if matrix is None:
