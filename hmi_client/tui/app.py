@@ -132,7 +132,6 @@ class FleetApp(App[None]):
     def on_resize(self) -> None:
         if isinstance(self._driver, PatientDriver):
             self._driver.forget()
-        self.view.make_room()
 
     def action_redraw(self) -> None:
         """Draws all of the screen again, whatever the terminal shows."""

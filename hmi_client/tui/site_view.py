@@ -116,6 +116,9 @@ class SiteView(Vertical):
         for panel in (*self.panels, self.status):
             panel.repaint()
 
+    def on_resize(self) -> None:
+        self.make_room()
+
     def make_room(self) -> None:
         """Shows the panels that there is room for. On a narrow screen a pair that is being answered
         has all of it; `maximise` shows the other panels again.
