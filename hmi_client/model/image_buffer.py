@@ -115,6 +115,8 @@ class ImageBuffer:
             Whether anything changed, and the frozen views that it has turned out not to keep.
         """
         self._server = dict(newest)
+        if anew:  # it never got what was taken while it was away; the newest it may still ask for
+            self._waiting = {robot: kept[-1:] for robot, kept in self._waiting.items()}
         changed = False
         for robot in self.pair:
             waiting = self._waiting.get(robot, [])

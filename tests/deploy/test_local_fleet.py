@@ -91,7 +91,7 @@ def test_children_that_ignore_sigterm_and_their_children_are_killed(tmp_path, mo
     monkeypatch.setattr("fleetpose.deploy.local_fleet.GRACE_S", 0.5)
     with LocalFleet(tmp_path / "logs") as fleet:
         fleet.start("stubborn", module("stubborn", WITH_STUBBORN_CHILD))
-        assert wait_until(lambda: fleet.tail("stubborn").startswith("child"), 30)
+        assert wait_until(lambda: len(fleet.tail("stubborn").split()) == 2, 30)
         grandchild = int(fleet.tail("stubborn").split()[1])
         assert fleet.leftover_processes() == 2
     assert not alive(grandchild)

@@ -4,10 +4,11 @@ import random
 
 import pytest
 
-from fleetpose.evaluation.bench.cameras import cases, layouts, lost, robots, stereo_variants, tables
+from fleetpose.evaluation.bench.cameras import cases, layouts, robots
 from fleetpose.evaluation.bench.cameras.bars import Attempt, Bar
 from fleetpose.evaluation.bench.cameras.command import run
-from fleetpose.evaluation.bench.cameras.scene import RIG, seen
+from fleetpose.evaluation.bench.cameras.made import lost, stereo_variants, tables
+from fleetpose.evaluation.bench.cameras.made.scene import RIG, seen
 from fleetpose.evaluation.system.fuzz import files
 from fleetpose.robot_agent.checking.report import check_rig
 

@@ -125,6 +125,20 @@ def test_without_a_server_pictures_are_shown_but_not_picked_in(session, clock):
     assert session.half is not None
 
 
+def test_a_server_that_came_back_is_not_taken_to_have_what_was_taken_while_it_was_away(
+    session, clock
+):
+    show(session, "r1", 7)
+    clock.now += 10.0
+    for seq in (8, 12, 30):
+        show(session, "r1", seq)
+    session.on_fleet(fleet(6, server_epoch="c" * 12, n=1, seq=7))  # it has restored its last view
+    session.on_fleet(fleet(6, server_epoch="c" * 12, n=2, seq=13))
+    assert seqs(session) == [7, None]
+    session.on_fleet(fleet(6, server_epoch="c" * 12, n=3, seq=31))  # view 30 is asked of its robot
+    assert seqs(session) == [30, None]
+
+
 def test_pictures_frozen_without_a_server_can_be_picked_in_once_it_has_them(session, clock):
     clock.now += 10.0
     show(session, "r1", 12), show(session, "r2", 12)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from fleetpose.evaluation.bench.cameras.calibrations import FILES, outcome_of
-from fleetpose.evaluation.bench.cameras.known import SIZE, T_RIGHT_LEFT
-from fleetpose.evaluation.bench.cameras.known import written as text
-from fleetpose.evaluation.bench.cameras.plain import opencv_fisheye, ours
+from fleetpose.evaluation.bench.cameras.made.known import SIZE, T_RIGHT_LEFT
+from fleetpose.evaluation.bench.cameras.made.known import written as text
+from fleetpose.evaluation.bench.cameras.made.plain import opencv_fisheye, ours
 from fleetpose.protocol.errors import CalibrationError
 from fleetpose.robot_agent.cameras.calibrations.reading import read_rig, read_rig_file
 

@@ -192,11 +192,12 @@ class Fingers:
         )
         labels = images_on(lines)[side].labels(size)
         best = max(labels, key=lambda label: worth(labels[label]))
-        before = images_on(lines)[side].cursor
         self.terminal.press(*best)
+        # a label may stand where the cursor is, which then does not move
         self.terminal.wait(
             lambda lines: (
-                images_on(lines)[side].cursor != before and not images_on(lines)[side].labels(size)
+                _beside(images_on(lines)[side], labels[best], size)
+                and not images_on(lines)[side].labels(size)
             ),
             f"the cursor at {best}",
         )
@@ -263,3 +264,10 @@ def _number(lines: Sequence[str]) -> str:
         if _SUGGESTION in line:
             return line.split("Suggestion")[1].split(":")[0].strip().replace(" ", "-")
     return ""
+
+
+def _beside(image: ShownImage, place: Place, size: tuple[int, int]) -> bool:
+    """Whether a cursor is where a label stood, which is known to about a cell."""
+    window = image.window(size)
+    cell = np.subtract(window.pixel(1, 2), window.pixel(0, 0))
+    return bool(np.all(np.abs(np.subtract(image.cursor, place)) <= 1.5 * np.abs(cell)))
