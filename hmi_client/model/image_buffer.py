@@ -115,8 +115,8 @@ class ImageBuffer:
             Whether anything changed, and the frozen views that it has turned out not to keep.
         """
         self._server = dict(newest)
-        if anew:  # it never got what was taken while it was away; the newest it may still ask for
-            self._waiting = {robot: kept[-1:] for robot, kept in self._waiting.items()}
+        if anew:
+            self._wait_again()
         changed = False
         for robot in self.pair:
             waiting = self._waiting.get(robot, [])
@@ -212,6 +212,15 @@ class ImageBuffer:
         self._frozen = None
 
     # ---- inside ----------------------------------------------------------------------------------
+
+    def _wait_again(self) -> None:
+        """Another server never got what its predecessor had, nor what was taken in between; of a
+        robot's newest picture alone it can still ask for the view.
+        """
+        for robot, picture in self._taken.items():
+            self._waiting.setdefault(robot, [picture])
+        self._waiting = {robot: kept[-1:] for robot, kept in self._waiting.items()}
+        self._taken = {}
 
     def _server_has(self, view: ViewName) -> bool:
         newest = self._server.get(view.robot)
