@@ -15,7 +15,7 @@ import numpy as np
 
 from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.evaluation.simulate.world import World
-from fleetpose.evaluation.simulate.world.plans.plan import Plan
+from fleetpose.evaluation.simulate.world.plans.plan import Front, Plan, front
 from fleetpose.evaluation.simulate.world.plans.planned import overcast, plan_named
 from fleetpose.evaluation.simulate.world.plans.things import unique_things
 from fleetpose.evaluation.simulate.world.render import Renderer
@@ -36,9 +36,12 @@ from fleetpose.robot_agent.recent_views import kept_view
 EDITION = 1  # of the lesson: a kept one of another edition is made anew
 APART = ("r4", "r5")  # the piece that the machine may not join: the learner is to
 SITE = "lesson"
-_PLAN, _SEED, _UNIQUE = "facade", 4, 5
+_PLAN, _SEED = "facade", 4
+# where unique things hang or stand along the facade (m), and the seeds that they are made by
+_THINGS = ((-6.6, 0), (-3.0, 1), (0.3, 2), (4.4, 3))
 # along and before the facade (m), and how far from its normal the robot looks (deg)
 _PLACES = ((-5.5, 7.5, 6.0), (-3.4, 6.8, -5.0), (-1.2, 7.6, 4.0), (1.4, 7.0, 8.0), (3.6, 7.8, -6.0))
+_FACADE_Y_M = -0.4  # what things hang on
 _HALF_WIDTH_M = 5.0  # of where they stand
 _SALIENT = 1600
 
@@ -57,7 +60,8 @@ class LessonWorld(World):
 
     def __init__(self, places: tuple[tuple[float, float, float], ...] = _PLACES) -> None:
         plan = plan_named(_PLAN, _SEED)
-        things = unique_things(plan.fronts, _UNIQUE, plan.clear_m - 0.3, _SEED)
+        depth_m = plan.clear_m - 0.3
+        things = [q for x, seed in _THINGS for q in unique_things(_spot(x), 1, depth_m, seed)]
         self.period_m = _period_m(plan)
         self._T_world_robots = tuple(
             standing(np.array((x, -y)), 90.0 - turned) for x, y, turned in places
@@ -73,6 +77,11 @@ class LessonWorld(World):
 
     def T_world_robot(self, robot: str | int, t_s: float = 0.0) -> Floats:
         return self._T_world_robots[self.robot_index(robot)]
+
+
+def _spot(along_m: float) -> tuple[Front]:
+    """So short a piece of the facade that whatever stands at it stands there."""
+    return (front((along_m - 0.01, _FACADE_Y_M), (along_m + 0.01, _FACADE_Y_M)),)
 
 
 def _period_m(plan: Plan) -> float:

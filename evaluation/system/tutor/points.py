@@ -30,6 +30,7 @@ class Offset:
             or hidden there.
         alike: how alike the clicked place and the right one look, -1 to 1 (normalized
             cross-correlation of patches of 31 px); none where one is not within the image.
+        px_m: what a pixel covers there, metres.
         steps: so many steps of a pattern that is known to repeat further; 0: not that.
     """
 
@@ -38,6 +39,7 @@ class Offset:
     off_m: float | None = None
     why: Why = ""
     alike: float | None = None
+    px_m: float | None = None
     steps: int = 0
 
 
@@ -74,6 +76,7 @@ def offset_of(truth: Truth, i: Clicked, j: Clicked) -> Offset:
         off_m,
         "hidden" if shown_m is not None and shown_m < (1 - _HIDDEN_SHARE) * seen[2] else "",
         None if j.jpeg is None else likeness(_grey(j.jpeg), j.pixel, uv),
+        float(seen[2] / camera.K[0, 0]),
         0 if step is None or truth.repeats_m is None else whole_steps(step, truth.repeats_m),
     )
 

@@ -75,7 +75,7 @@ class Robots:
 
     def __init__(self, recording: Recording, link: Link, keys: Keys, speed: float = 1.0) -> None:
         self.ended = threading.Event()
-        self.failure: Exception | None = None
+        self._failure: Exception | None = None
         self._recording, self._link, self._keys, self._speed = recording, link, keys, speed
         self._robots: dict[str, ReplayedRobot] = {}
         self._last: dict[str, tuple[float, KeptView]] = {}
@@ -97,11 +97,16 @@ class Robots:
         with self._lock:
             return self._shown.get(name)
 
+    def check(self) -> None:
+        """Raises what ended the playing before its time."""
+        if self._failure is not None:
+            raise self._failure
+
     def _guarded(self) -> None:
         try:
             self._run()
         except Exception as error:  # ends the lesson, which tells it
-            self.failure = error
+            self._failure = error
 
     def _run(self) -> None:
         began_s = time.monotonic()
