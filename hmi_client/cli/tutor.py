@@ -23,8 +23,8 @@ def tutor(
         str, typer.Option(help="with --web: HOST:PORT of the page; port 0: any")
     ] = "127.0.0.1:0",
     open_browser: Annotated[
-        bool, typer.Option("--open", help="with --web: show the page in a browser at once")
-    ] = False,
+        bool, typer.Option("--open/--no-open", help="with --web: show it in the browser")
+    ] = True,
     apart: Annotated[
         str, typer.Option(help="robots that the machine may not join to the others: r4,r5")
     ] = "",
@@ -55,8 +55,8 @@ def tutor(
 
     options = () if keys is None else ("--keys", str(keys))
     if web:
-        shown = ("--open",) if open_browser else ()
-        face = Face("web", ("--listen", listen, *shown, *options))
+        shown = "--open" if open_browser else "--no-open"
+        face = Face("web", ("--listen", listen, shown, *options))
     else:
         face = Face("screen", ("--fps", str(fps), "--theme", theme, *options))
     run_tutor(file, face, apart, speed, report)

@@ -38,9 +38,13 @@ APART = ("r4", "r5")  # the piece that the machine may not join: the learner is 
 SITE = "lesson"
 _PLAN, _SEED = "facade", 4
 # where unique things hang or stand along the facade (m), and the seeds that they are made by
-_THINGS = ((-6.6, 0), (-3.0, 1), (0.3, 2), (4.4, 3))
+_THINGS = (
+    *((-8.0, 4), (-6.6, 0), (-5.4, 5), (-4.4, 6), (-3.0, 1)),
+    (0.3, 2),  # what both pieces see
+    *((2.4, 7), (3.4, 8), (4.4, 3), (5.8, 9), (6.8, 10)),
+)
 # along and before the facade (m), and how far from its normal the robot looks (deg)
-_PLACES = ((-5.5, 7.5, 6.0), (-3.4, 6.8, -5.0), (-1.2, 7.6, 4.0), (1.4, 7.0, 8.0), (3.6, 7.8, -6.0))
+_PLACES = ((-5.6, 7.5, 6.0), (-4.2, 6.8, -5.0), (-2.0, 7.6, 4.0), (1.4, 7.0, 8.0), (3.2, 7.8, -6.0))
 _FACADE_Y_M = -0.4  # what things hang on
 _HALF_WIDTH_M = 5.0  # of where they stand
 _SALIENT = 1600
