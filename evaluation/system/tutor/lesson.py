@@ -15,10 +15,12 @@ import numpy as np
 
 from fleetpose.evaluation.metrics.geometry import Floats
 from fleetpose.evaluation.simulate.world import World
-from fleetpose.evaluation.simulate.world.plans.plan import Front, Plan, front
-from fleetpose.evaluation.simulate.world.plans.planned import overcast, plan_named
+from fleetpose.evaluation.simulate.world.build import Builder
+from fleetpose.evaluation.simulate.world.plans.outdoors import bay, strip
+from fleetpose.evaluation.simulate.world.plans.plan import Front, front, placed, shifted
+from fleetpose.evaluation.simulate.world.plans.planned import overcast
 from fleetpose.evaluation.simulate.world.plans.things import unique_things
-from fleetpose.evaluation.simulate.world.render import Renderer
+from fleetpose.evaluation.simulate.world.render import Quad, Renderer
 from fleetpose.evaluation.simulate.world.robots import HEIGHT, WIDTH, rig_with, standing
 from fleetpose.evaluation.system.tutor.truths import ExactTruth, truth_beside
 from fleetpose.protocol.codec import encoding_of, pack
@@ -36,15 +38,15 @@ from fleetpose.robot_agent.recent_views import kept_view
 EDITION = 1  # of the lesson: a kept one of another edition is made anew
 APART = ("r4", "r5")  # the piece that the machine may not join: the learner is to
 SITE = "lesson"
-_PLAN, _SEED = "facade", 4
+PERIOD_M = 3.14  # one window further
+_SEED, _MATERIAL = 4, "stone"
+_BAYS, _EQUAL = 6, (-1, 0, 1)  # on either side of the origin; those that are equal
+_BASELINE_M = 0.35
+_STRIP_M = 1.2  # before the facade, in which things stand
 # where unique things hang or stand along the facade (m), and the seeds that they are made by
-_THINGS = (
-    *((-8.0, 4), (-6.6, 0), (-5.4, 5), (-4.4, 6), (-3.0, 1)),
-    (0.3, 2),  # what both pieces see
-    *((2.4, 7), (3.4, 8), (4.4, 3), (5.8, 9), (6.8, 10)),
-)
+_THINGS = ((-6.6, 0), (-4.4, 6), (-3.0, 1), (1.1, 2), (4.4, 3), (6.0, 8), (7.4, 9))
 # along and before the facade (m), and how far from its normal the robot looks (deg)
-_PLACES = ((-5.6, 7.5, 6.0), (-4.2, 6.8, -5.0), (-2.0, 7.6, 4.0), (1.4, 7.0, 8.0), (3.2, 7.8, -6.0))
+_PLACES = ((-5.4, 7.5, 6.0), (-3.6, 6.8, -5.0), (-1.2, 7.6, 4.0), (3.6, 7.0, 8.0), (5.6, 7.8, -6.0))
 _FACADE_Y_M = -0.4  # what things hang on
 _HALF_WIDTH_M = 5.0  # of where they stand
 _SALIENT = 1600
@@ -63,17 +65,14 @@ class LessonWorld(World):
     """Five robots before a facade that repeats, with a few unique things on it; all stand still."""
 
     def __init__(self, places: tuple[tuple[float, float, float], ...] = _PLACES) -> None:
-        plan = plan_named(_PLAN, _SEED)
-        depth_m = plan.clear_m - 0.3
-        things = [q for x, seed in _THINGS for q in unique_things(_spot(x), 1, depth_m, seed)]
-        self.period_m = _period_m(plan)
+        things = [q for x, seed in _THINGS for q in unique_things(_spot(x), 1, _STRIP_M, seed)]
         self._T_world_robots = tuple(
             standing(np.array((x, -y)), 90.0 - turned) for x, y, turned in places
         )
         super().__init__(
             len(places),
-            rig_with(plan.baseline_m),
-            Renderer([*plan.quads, *things], overcast()),
+            rig_with(_BASELINE_M),
+            Renderer([*_facade(), *things], overcast()),
             np.random.default_rng((_SEED, 0)),
             _SEED,
             _HALF_WIDTH_M,
@@ -88,9 +87,23 @@ def _spot(along_m: float) -> tuple[Front]:
     return (front((along_m - 0.01, _FACADE_Y_M), (along_m + 0.01, _FACADE_Y_M)),)
 
 
-def _period_m(plan: Plan) -> float:
-    """One window further."""
-    return min(abs(float(T[0, 3])) for T in plan.symmetries)
+def _facade() -> list[Quad]:
+    """A row of bays: some in the middle are equal to the last texel, none of the others is."""
+    equal = _painted(0)
+    others = {k: _painted(k) for k in range(-_BAYS, _BAYS) if k not in _EQUAL}
+    return [
+        quad
+        for k in range(-_BAYS, _BAYS)
+        for quad in placed(others.get(k, equal), shifted(k * PERIOD_M))
+    ]
+
+
+def _painted(number: int) -> list[Quad]:
+    """A bay with the ground before it, at the origin."""
+    b = Builder(np.random.default_rng((_SEED, _BAYS + number)))
+    bay(b, PERIOD_M, _MATERIAL)
+    strip(b, PERIOD_M)
+    return b.quads
 
 
 def lesson_in(folder: Path, tell: Callable[[Step], None] = lambda _: None) -> Path:
@@ -129,7 +142,7 @@ def _write(path: Path, tell: Callable[[Step], None]) -> ExactTruth:
             depths[robot] = world.scene.depth(T_world_camera, world.rig.K_left, (WIDTH, HEIGHT))
     tell(Step(len(_PLACES), len(_PLACES), "the lesson is made"))
     poses = {robot: world.T_world_robot(robot) for robot in world.names}
-    return ExactTruth(poses, depths, np.array((world.period_m, 0.0, 0.0)))
+    return ExactTruth(poses, depths, np.array((PERIOD_M, 0.0, 0.0)))
 
 
 def _sent(
