@@ -46,7 +46,7 @@ _STRIP_M = 1.2  # before the facade, in which things stand
 # where unique things hang or stand along the facade (m), and the seeds that they are made by
 _THINGS = ((-6.6, 0), (-4.4, 6), (-3.0, 1), (1.1, 2), (4.4, 3), (6.0, 8), (7.4, 9))
 # along and before the facade (m), and how far from its normal the robot looks (deg)
-_PLACES = ((-5.4, 7.5, 6.0), (-3.6, 6.8, -5.0), (-1.2, 7.6, 4.0), (3.6, 7.0, 8.0), (5.6, 7.8, -6.0))
+_PLACES = ((-5.4, 7.5, 6.0), (-3.6, 6.8, -5.0), (-1.2, 7.6, 4.0), (3.0, 7.2, 8.0), (5.2, 7.8, -6.0))
 _FACADE_Y_M = -0.4  # what things hang on
 _HALF_WIDTH_M = 5.0  # of where they stand
 _SALIENT = 1600
