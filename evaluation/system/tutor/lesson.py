@@ -40,13 +40,13 @@ APART = ("r4", "r5")  # the piece that the machine may not join: the learner is 
 SITE = "lesson"
 PERIOD_M = 3.14  # one window further
 _SEED, _MATERIAL = 4, "stone"
-_BAYS, _EQUAL = 6, (-1, 0, 1)  # on either side of the origin; those that are equal
+_BAYS, _EQUAL = 6, (0, 1)  # on either side of the origin; those that are equal
 _BASELINE_M = 0.35
 _STRIP_M = 1.2  # before the facade, in which things stand
 # where unique things hang or stand along the facade (m), and the seeds that they are made by
-_THINGS = ((-6.6, 0), (-4.4, 6), (-3.0, 1), (1.1, 2), (4.4, 3), (6.0, 8), (7.4, 9))
+_THINGS = ((-5.0, 0), (-2.8, 6), (-1.2, 1), (2.0, 7), (3.3, 8), (5.6, 3), (7.4, 9))
 # along and before the facade (m), and how far from its normal the robot looks (deg)
-_PLACES = ((-5.4, 7.5, 6.0), (-3.6, 6.8, -5.0), (-1.2, 7.6, 4.0), (3.0, 7.2, 8.0), (5.2, 7.8, -6.0))
+_PLACES = ((-3.6, 7.5, 6.0), (-1.9, 6.8, -5.0), (0.5, 7.6, 4.0), (2.2, 7.2, -4.0), (4.1, 7.8, -6.0))
 _FACADE_Y_M = -0.4  # what things hang on
 _HALF_WIDTH_M = 5.0  # of where they stand
 _SALIENT = 1600
