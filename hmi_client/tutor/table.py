@@ -47,7 +47,7 @@ def row(point: dict[str, Any]) -> tuple[str, ...]:
         f"{point['i']} {point['j']}",
         "-" if point["off_px"] is None else f"{point['off_px']:.1f}",
         metres(point["off_m"]),
-        _TAKEN.get(point["taken"], point["taken"]),
+        _TAKEN.get(point["taken"]) or point["taken"],
         f"{before['located']} > {after['located']}",
         change("pair_error_m"),
         change("fleet_error_m"),

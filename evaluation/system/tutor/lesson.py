@@ -139,7 +139,8 @@ def _write(path: Path, tell: Callable[[Step], None]) -> ExactTruth:
             for key, payload, encoding, attachment in _sent(world, matcher, robot):
                 recorder.note("in", Sample(key, payload, encoding, attachment))
             T_world_camera = world.T_world_robot(robot) @ mount()
-            depths[robot] = world.scene.depth(T_world_camera, world.rig.K_left, (WIDTH, HEIGHT))
+            exact = world.scene.depth(T_world_camera, world.rig.K_left, (WIDTH, HEIGHT))
+            depths[robot] = exact.astype(np.float64)
     tell(Step(len(_PLACES), len(_PLACES), "the lesson is made"))
     poses = {robot: world.T_world_robot(robot) for robot in world.names}
     return ExactTruth(poses, depths, np.array((PERIOD_M, 0.0, 0.0)))

@@ -24,8 +24,11 @@ class Truth(Protocol):
         repeats_m: (3,) step in the world after which all looks the same; none if not known.
     """
 
-    against: str
-    repeats_m: Floats | None
+    @property
+    def against(self) -> str: ...
+
+    @property
+    def repeats_m(self) -> Floats | None: ...
 
     def T_world_robot(self, view: View) -> Floats | None:
         """(4, 4) pose of the body at a recorded view; none if it is not known."""
