@@ -199,6 +199,19 @@ def demo(
     raise typer.Exit(run(robots, seconds, face, pictures))
 
 
+@app.command(hidden=True)
+def tutor(
+    keep: Annotated[Path, typer.Option(help="Where the built-in lesson is kept.")],
+    recording: Annotated[Path | None, typer.Option(help="Of a site; else the lesson.")] = None,
+    apart: Annotated[str, typer.Option(help="Robots that the machine may not join: a,b")] = "",
+    speed: Annotated[float, typer.Option(min=0.05, max=100.0, help="Times as fast.")] = 1.0,
+) -> None:
+    """Run a recording as a live fleet for `hmi-client tutor`, and say what was done to it."""
+    from fleetpose.evaluation.system.tutor.command import run
+
+    run(recording, keep, tuple(filter(None, apart.split(","))), speed)
+
+
 @app.command()
 @of(WorldOptions)
 def world(

@@ -64,7 +64,7 @@ def write_summary(folder: Path, summary: Mapping[str, Any], title: str = "") -> 
     """Writes `summary.json`; numbers that are not finite become null. With a title it is printed
     as well.
     """
-    text = json.dumps(_finite(summary), indent=1, allow_nan=False)
+    text = json.dumps(finite(summary), indent=1, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n")
     if title:
         print_table(title, ("", ""), summary.items())
@@ -75,11 +75,12 @@ def scalars(summary: Mapping[str, Any]) -> list[tuple[str, Any]]:
     return [(key, value) for key, value in summary.items() if not isinstance(value, list | dict)]
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """A value as JSON takes it: arrays' numbers plain, and null in place of what is not finite."""
     if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
+        return {str(key): finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):

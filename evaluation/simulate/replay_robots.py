@@ -75,13 +75,16 @@ def run(
     with ExitStack() as closing:
         link = Link(open_session(SessionSettings(connect=connect)))
         closing.callback(link.close)
-        robots = [_Replayed(link, Keys(site), n, views, settings) for n, views in recorded.items()]
+        robots = [
+            (ReplayedRobot(link, Keys(site), n, views[0], settings), _back_and_forth(views))
+            for n, views in recorded.items()
+        ]
         began_s, turn = time.monotonic(), 0
         while not stop.is_set():
-            for k, robot in enumerate(robots):
+            for k, (robot, order) in enumerate(robots):
                 due_s = began_s + (turn + k / len(robots)) / rate_hz  # not all in one moment
                 wait_until(lambda due_s=due_s: stop.is_set() or time.monotonic() >= due_s, 60.0)
-                robot.show_next()
+                robot.show(next(order))
             turn += 1
 
 
@@ -111,14 +114,21 @@ def _encoded(frame: Frame, settings: SenderSettings) -> KeptView:
     return kept_view(view_of(name, frame, salient), frame.image, settings.jpeg_quality)
 
 
-class _Replayed:
-    """One robot."""
+class ReplayedRobot:
+    """One robot that shows views that were made before.
+
+    Args:
+        link: of the process; closed by who opened it.
+        keys: of the site.
+        name: of the robot.
+        first: any of its views; its camera is announced.
+        settings: how often views are meant to come, and how many can be asked for.
+    """
 
     def __init__(
-        self, link: Link, keys: Keys, name: str, views: list[KeptView], settings: SenderSettings
+        self, link: Link, keys: Keys, name: str, first: KeptView, settings: SenderSettings
     ) -> None:
         self._name, self._epoch, self._seq = name, new_epoch(), 0
-        self._order = _back_and_forth(views)
         self._kept = KeptViews(self._epoch, settings.keep_views)
         self._presence = Presence(
             link,
@@ -128,16 +138,15 @@ class _Replayed:
             remedy="end it",
         )
         announced = CameraAnnouncement(
-            robot=name, epoch=self._epoch, camera=views[0].view.camera, rate_hz=settings.rate_hz
+            robot=name, epoch=self._epoch, camera=first.view.camera, rate_hz=settings.rate_hz
         )
         link.latched(keys.camera(name)).put(pack(announced), encoding_of(CameraAnnouncement))
         self._cloud = link.bulk(keys.cloud(name))
         self._image = link.bulk(keys.image(name), background=True)
         link.queryable(keys.view(name), self._kept.answer)
 
-    def show_next(self) -> None:
-        """Publishes the next view under a new name."""
-        shown = next(self._order)
+    def show(self, shown: KeptView) -> ViewName:
+        """Publishes a view that has an image, as one of now; returns its new name."""
         name = ViewName(robot=self._name, epoch=self._epoch, seq=self._seq)
         self._seq += 1
         view = shown.view.model_copy(update={"name": name, "stamp_ns": time.time_ns()})
@@ -147,6 +156,7 @@ class _Replayed:
         self._cloud.put(pack(view), encoding_of(View))
         if self._image.wanted:
             self._image.put(shown.jpeg, ENCODING_JPEG, attachment=pack(image))
+        return name
 
 
 def _back_and_forth(views: list[KeptView]) -> Iterator[KeptView]:

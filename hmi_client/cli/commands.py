@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from fleetpose.hmi_client.cli import connection as c
-from fleetpose.hmi_client.cli import correspondences, recordings, web
+from fleetpose.hmi_client.cli import correspondences, recordings, tutor, web
 from fleetpose.hmi_client.cli.options import Fps, KeysFile, LogFile, SettingsFile, Theme, Threshold
 from fleetpose.hmi_client.errors import NoServerError, OperatorError
 from fleetpose.hmi_client.settings import ClientSettings
@@ -27,6 +27,7 @@ app = typer.Typer(
 )
 app.add_typer(correspondences.app, name="correspondences")
 app.add_typer(recordings.app)
+app.add_typer(tutor.app)
 app.add_typer(web.app)
 
 

@@ -137,14 +137,14 @@ def facade(rng: Rng) -> Plan:
     """One long facade of equal windows; one window further all looks the same."""
     period = float(rng.uniform(2.2, 3.2))
     b = Builder(rng)
-    _bay(b, period, str(rng.choice(_MATERIALS)))
-    _strip(b, period)
+    bay(b, period, str(rng.choice(_MATERIALS)))
+    strip(b, period)
     return _row(
         b, period, front((-11.0, -0.4), (11.0, -0.4)), room((-17.0, -13.0), (17.0, 0.0)), 4.5
     )
 
 
-def _bay(b: Builder, period: float, material: str) -> None:
+def bay(b: Builder, period: float, material: str) -> None:
     """One window upon the other beside a pilaster, with a sill, a balcony, a cornice."""
     floor, window = 2.5, (1.1, 1.6)
     style = Style(material, floor, window, posters=0.0, ivy=0.0, graffiti=0, door=False)
@@ -178,13 +178,13 @@ def colonnade(rng: Rng) -> Plan:
         4.2,
         bare("wood"),
     )
-    _strip(b, period)
+    strip(b, period)
     return _row(
         b, period, front((-11.0, -2.4), (11.0, -2.4)), room((-17.0, -13.0), (17.0, -2.0)), 3.5
     )
 
 
-def _strip(b: Builder, period: float) -> None:
+def strip(b: Builder, period: float) -> None:
     """The ground before one period."""
     middle, along = np.array((period / 2, -7.0)), np.array((period / 2, 0.0))
     b.slab(middle, along, np.array((0.0, 7.0)), 0.0, paved(64.0))

@@ -48,7 +48,7 @@ class PlanWorld(World):
         super().__init__(
             robots,
             rig_with(self.plan.baseline_m),
-            Renderer([*self.plan.quads, *things], _overcast()),
+            Renderer([*self.plan.quads, *things], overcast()),
             np.random.default_rng((seed, _SEED_EXPOSURES)),
             seed,
             half_m,
@@ -131,7 +131,7 @@ def _before(plan: Plan, target: Floats, front: Front, rng: Rng) -> Floats | None
     return standing(place, float(heading_deg)) if free else None
 
 
-def _overcast() -> np.ndarray:
+def overcast() -> np.ndarray:
     """A sky without clouds or sun: no direction is told by it."""
     up = np.linspace(1, 0, 64, dtype=np.float32)[:, None, None]
     light, horizon = np.array((222, 214, 208), np.float32), np.array((236, 232, 228), np.float32)
