@@ -6,14 +6,9 @@ from typing import Annotated
 import typer
 
 from fleetpose.deploy import machine_commands, site_commands
-from fleetpose.protocol.commands import Version, require, run_command
+from fleetpose.protocol.commands import Version, command_line, examples, require, run_command
 
-app = typer.Typer(
-    no_args_is_help=True,
-    add_completion=False,
-    help="Put a fleet into operation.",
-    rich_markup_mode=None,
-)
+app = command_line()
 site_commands.register(app)
 machine_commands.register(app)
 
@@ -27,7 +22,12 @@ def _commands(version: Version = False) -> None:
     """
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "pose-deploy local --robots r1=rgbd:recordings/kitchen \\",
+        "    --robots r2=rgbd:recordings/hall",
+    )
+)
 def local(
     robots: Annotated[
         list[str],
