@@ -147,7 +147,7 @@ def test_a_router_that_is_not_there_is_told_apart_from_another_program(listens):
 
 
 def test_a_host_that_is_not_known_is_named():
-    with pytest.raises(UnreachableError, match="there is no host 'nobody.invalid'"):
+    with pytest.raises(UnreachableError, match=r"there is no host 'nobody\.invalid'"):
         open_session(SessionSettings(connect=("tcp/nobody.invalid:7447",), timeout_s=0.1))
 
 
