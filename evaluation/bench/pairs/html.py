@@ -22,6 +22,7 @@ _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 1000px; color: #222 }
 table { border-collapse: collapse; margin: .6em 0 1.4em; font-size: 13px }
 td, th { padding: .2em .7em; border-bottom: 1px solid #ddd; text-align: right }
+td { white-space: nowrap }
 td:first-child, th:first-child { text-align: left }
 th { vertical-align: bottom; font-weight: 600; max-width: 9em }
 .wide { overflow-x: auto }
