@@ -174,13 +174,13 @@ def status(
 
 
 def _status_of(where: c.Connection) -> str:
-    from fleetpose.hmi_client.cli.reports import status_text
+    from fleetpose.hmi_client.cli.reports import status_text, terminal_columns
     from fleetpose.protocol.transport import wait_until
 
     with where.server() as session:
         session.wait_change({}, ("status",), 2.0)
         wait_until(lambda: set(session.robots()) <= set(session.versions), LATCHED_S, poll_s=0.1)
-        return status_text(session)
+        return status_text(session, terminal_columns())
 
 
 @app.command(epilog=examples("hmi-client why r3"))
@@ -194,6 +194,7 @@ def why(
 ) -> None:
     """Says why a robot is located (exit code 0) or not (1), and what to do next."""
     from fleetpose.hmi_client.cli.clicking import wait_for_sets
+    from fleetpose.hmi_client.cli.reports import terminal_columns
     from fleetpose.hmi_client.cli.why import tried_pairs, why_record, why_text
     from fleetpose.protocol.transport import wait_until
 
@@ -204,7 +205,7 @@ def why(
         tried = set(tried_pairs(session, robot))
         wait_until(lambda: tried <= set(session.alignments(robot)), LATCHED_S, poll_s=0.1)
         record = why_record(session, robot, session.alignments(robot))
-    typer.echo(json.dumps(record, indent=1) if as_json else why_text(record))
+    typer.echo(json.dumps(record, indent=1) if as_json else why_text(record, terminal_columns()))
     raise typer.Exit(0 if record["located"] else 1)
 
 
