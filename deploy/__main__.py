@@ -1,19 +1,14 @@
 """`pose-deploy`: a fleet in the field, or all of it on this machine."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from fleetpose.deploy import machine_commands, site_commands
-from fleetpose.protocol.commands import Version, require, run_command
+from fleetpose.protocol.commands import Version, command_line, examples, require, run_command
 
-app = typer.Typer(
-    no_args_is_help=True,
-    add_completion=False,
-    help="Put a fleet into operation.",
-    rich_markup_mode=None,
-)
+app = command_line()
 site_commands.register(app)
 machine_commands.register(app)
 
@@ -27,7 +22,12 @@ def _commands(version: Version = False) -> None:
     """
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "pose-deploy local --robots r1=rgbd:recordings/kitchen \\",
+        "    --robots r2=rgbd:recordings/hall",
+    )
+)
 def local(
     robots: Annotated[
         list[str],
@@ -37,9 +37,16 @@ def local(
         ),
     ],
     site: Annotated[str, typer.Option(help="Site in all keys.")] = "demo",
-    rate: Annotated[float, typer.Option(help="Views per second of each robot.")] = 1.0,
-    replay: Annotated[str, typer.Option(help="once, loop, pingpong or hold.")] = "pingpong",
-    workers: Annotated[int, typer.Option(help="Alignment processes of the server.")] = 2,
+    rate: Annotated[
+        float, typer.Option(min=0.01, max=100, help="Views per second of each robot.")
+    ] = 1.0,
+    replay: Annotated[
+        Literal["once", "loop", "pingpong", "hold"],
+        typer.Option(help="In which order a recording is shown; hold: its first view for ever."),
+    ] = "pingpong",
+    workers: Annotated[
+        int, typer.Option(min=1, max=256, help="Alignment processes of the server.")
+    ] = 2,
     directory: Annotated[
         Path, typer.Option(help="For logs and the server's state.", file_okay=False)
     ] = Path("fleet"),
@@ -54,7 +61,8 @@ def local(
         fleet.start_server("--workers", str(workers))
         for name, camera, data in sources:
             fleet.start_robot(name, camera, data, "--rate", str(rate), "--replay", replay)
-        print(f"{len(sources)} robots, logs in {directory}. Ctrl-C ends all. To watch:")
+        robots_text = "1 robot" if len(sources) == 1 else f"{len(sources)} robots"
+        print(f"{robots_text}, logs in {directory}. Ctrl-C ends all. To watch:")
         print(f"  hmi-client screen --connect {fleet.endpoint} --site {site}", flush=True)
         wait_running(fleet, lambda: False, float("inf"))
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from fleetpose.deploy.errors import BundleError
+from fleetpose.protocol.commands import examples
 
 Root = Annotated[Path, typer.Option(help="Folder of all that is installed.")]
 
@@ -96,5 +97,10 @@ def check(
 
 def register(app: typer.Typer) -> None:
     """Adds the commands to a program."""
-    for command in (install, check):
-        app.command()(command)
+    app.command(
+        epilog=examples(
+            "pose-deploy install robot-r1.fleetpose --systemd",
+            "pose-deploy install robot-r1.fleetpose --dry-run",
+        )
+    )(install)
+    app.command(epilog=examples("pose-deploy check", "pose-deploy check --quick --json"))(check)

@@ -2,7 +2,7 @@
 
 import getpass
 import os
-from collections.abc import Sequence
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from fleetpose.deploy.errors import BundleError, SiteError
+from fleetpose.protocol.commands import examples
 
 if TYPE_CHECKING:
     from fleetpose.deploy.sealing import Sealer
@@ -287,8 +288,17 @@ def ask_password() -> str:
     return os.environ.get(PASSWORD) or getpass.getpass("password of the bundle: ")
 
 
+EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
+    init: ("pose-deploy init hall --router a=10.0.0.1 --site hall",),
+    add: ("pose-deploy add hall robot r1 r2 r3", "pose-deploy add hall operator kim"),
+    renew: ("pose-deploy renew hall --within 30", "pose-deploy renew hall robot/r1"),
+    revoke: ("pose-deploy revoke hall robot/r2",),
+    rules: ("pose-deploy rules hall --explain robot/r1 put robot/r2/view",),
+    show: ("pose-deploy show hall",),
+}
+
+
 def register(app: typer.Typer) -> None:
     """Adds the commands to a program."""
-    commands: Sequence = (init, add, renew, revoke, rules, show)
-    for command in commands:
-        app.command()(command)
+    for command, lines in EXAMPLES.items():
+        app.command(epilog=examples(*lines))(command)

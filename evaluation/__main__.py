@@ -2,12 +2,10 @@
 
 import sys
 
-import typer
-
 from fleetpose.evaluation.cli import fleets, live, pairs
-from fleetpose.protocol.commands import Version, require, run_command
+from fleetpose.protocol.commands import Version, command_line, require, run_command
 
-app = typer.Typer(no_args_is_help=True, add_completion=False, rich_markup_mode=None)
+app = command_line()
 for subject in (pairs, fleets, live):
     app.add_typer(subject.app)
 

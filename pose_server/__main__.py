@@ -9,7 +9,7 @@ import typer
 
 from fleetpose.pose_server.recording import commands as recording
 from fleetpose.pose_server.settings import ServerSettings
-from fleetpose.protocol.commands import Version, require, run_command
+from fleetpose.protocol.commands import Version, command_line, examples, require, run_command
 from fleetpose.protocol.settings import DumpSettings, SettingsFile, with_options
 
 if TYPE_CHECKING:
@@ -18,10 +18,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-app = typer.Typer(
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-)
+app = command_line()
 
 app.add_typer(recording.app)
 
@@ -31,7 +28,12 @@ def _server(version: Version = False) -> None:
     """Knows where the robots of a site are relative to each other, and tells them."""
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "pose-server run --listen tcp/0.0.0.0:7447 --state-dir hall",
+        "pose-server run --connect tcp/192.168.1.10:7447 --workers 4",
+    )
+)
 @with_options(ServerSettings)
 def run(
     *,
@@ -62,7 +64,7 @@ def run(
     serve(lambda stopped: build(loaded, stopped))
 
 
-@app.command()
+@app.command(epilog=examples("pose-server router --listen tcp/0.0.0.0:7447"))
 def router(
     listen: Annotated[
         list[str] | None,
@@ -86,7 +88,13 @@ def router(
 StateDir = Annotated[Path, typer.Option(help="Folder of the server's journal.")]
 
 
-@app.command("export")
+@app.command(
+    "export",
+    epilog=examples(
+        "pose-server export --out session --state-dir hall",
+        "pose-server export --map fleet.ply --picture fleet.png",
+    ),
+)
 def export_session(
     out: Annotated[Path | None, typer.Option(help="Folder to make, for the session.")] = None,
     map_file: Annotated[
@@ -158,7 +166,7 @@ def _say_map(files: "MapFiles", scene: "Scene") -> None:
         print(f"not located, and not in the map: {', '.join(scene.missing)}")
 
 
-@app.command("import")
+@app.command("import", epilog=examples("pose-server import session --state-dir hall"))
 def import_session(
     files: Annotated[
         list[Path], typer.Argument(help="JSON or CSV files, or folders that `export` made.")

@@ -1,13 +1,14 @@
-"""What the commands of all processes share: their version, and how they end.
+"""What the commands of all processes share: their help, their version, and how they end.
 
 What a user can mend is one sentence and an exit code; anything else is a bug with its traceback.
 """
 
 import sys
 from importlib.util import find_spec
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from fleetpose.protocol.errors import FleetPoseError, UnreachableError
 from fleetpose.protocol.text import release
@@ -31,6 +32,40 @@ MODULES = {  # that an extra brings, as they are imported; Open3D is done withou
     "eval": ("psutil", "DracoPy"),
 }
 PARTS = {"eval": ("robot", "server", "hmi"), "web": ("hmi",)}  # extras that an extra brings
+
+
+class Group(TyperGroup):
+    """Commands, each listed with its whole first sentence: nothing is cut at 80 columns."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Writes the list of commands; the types are those of typer's own click."""
+        commands = {name: self.get_command(ctx, name) for name in self.list_commands(ctx)}
+        rows = [
+            (name, command.get_short_help_str(sys.maxsize))
+            for name, command in commands.items()
+            if command is not None and not command.hidden
+        ]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+
+def command_line(no_args_is_help: bool = True) -> typer.Typer:
+    """The commands of a program: help in plain text, as every terminal and pager shows it, and
+    completion by the shell; a bug's traceback stays as it is.
+    """
+    return typer.Typer(
+        cls=Group,
+        no_args_is_help=no_args_is_help,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+
+
+def examples(*lines: str) -> str:
+    """Command lines as the end of a command's help; none is wrapped."""
+    head = "Example:" if len(lines) == 1 else "Examples:"
+    return "\n".join(("\b", head, *(f"  {line}" for line in lines)))
 
 
 def run_command(app: typer.Typer, name: str, extras: str, unreachable: int = REFUSED) -> None:

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from fleetpose.protocol.errors import EndpointError, NameRefusedError
 
 NAME_PATTERN = r"^[a-z0-9_-]{1,32}$"
+_BY_PORT = ("tcp", "tls", "quic", "udp", "ws")  # zenoh's links to HOST:PORT
+_OTHERS = ("unixsock-stream", "unixpipe", "serial", "vsock")
+_LAST_PORT = 65535
 _NAME = re.compile(NAME_PATTERN)
 EVERY_SERVER = "fleet/*/server/alive/*"
 """The tokens of the servers of all sites."""
@@ -32,9 +35,26 @@ def checked_endpoint(text: str) -> str:
         EndpointError: it is not.
     """
     protocol, slash, address = text.partition("/")
-    if not (protocol and slash and address):
-        raise EndpointError(f"'{text}' is no endpoint: write PROTOCOL/ADDRESS, e.g. tcp/{text}")
+    if protocol and slash and address:
+        _check_address(protocol, address, text)
+    else:
+        meant = text.strip("/") or "127.0.0.1"
+        port = "" if ":" in meant else ":7447"
+        raise EndpointError(
+            f"'{text}' is no endpoint: write PROTOCOL/ADDRESS:PORT, e.g. tcp/{meant}{port}"
+        )
     return text
+
+
+def _check_address(protocol: str, address: str, text: str) -> None:
+    if protocol not in (*_BY_PORT, *_OTHERS):
+        raise EndpointError(f"'{text}' is no endpoint: '{protocol}' is no protocol, write tcp/...")
+    host, _, port = re.split(r"[?#]", address, maxsplit=1)[0].rpartition(":")
+    if protocol in _BY_PORT and not (host and port.isdecimal() and int(port) <= _LAST_PORT):
+        raise EndpointError(
+            f"'{text}' is no endpoint: it needs a port from 1 to {_LAST_PORT}, "
+            f"e.g. {protocol}/{host or address}:7447"
+        )
 
 
 def new_epoch() -> str:

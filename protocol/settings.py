@@ -226,14 +226,37 @@ def with_options(
 def _option(field: FieldInfo, flag: str) -> Any:
     """The annotation of an option that is not given by default."""
     text = field.description or ""
-    text = text[:1].upper() + text[1:]
+    if text.partition(" ")[0].isalpha():  # else a value that is named, e.g. `rgbd:`
+        text = text[:1].upper() + text[1:]
     default = field.get_default(call_default_factory=True)
-    if not field.is_required() and default not in (None, "", (), False):
+    if field.is_required():
+        text += " [required]"
+    elif default is not None and default is not False and default not in ("", ()):
         shown = ", ".join(default) if isinstance(default, tuple) else default
-        text += f" (default: {shown})"
-    kind = _plain(field.annotation)
-    option = typer.Option(flag, help=text, show_default=False)
+        text += f" [default: {shown}]"
+    kind, choices = _plain(field.annotation), _choices(field.annotation)
+    option = typer.Option(
+        flag,
+        help=text,
+        show_default=False,
+        metavar=f"<{'|'.join(choices)}>" if choices else None,
+        autocompletion=_beginning_of(choices) if choices else None,
+    )
     return Annotated[kind | None, option]  # pyright: ignore[reportInvalidTypeForm]
+
+
+def _choices(annotation: Any) -> tuple[str, ...]:
+    """The values of a setting that takes a few words; else none."""
+    return get_args(annotation) if get_origin(annotation) is Literal else ()
+
+
+def _beginning_of(choices: tuple[str, ...]) -> Callable[[str], list[str]]:
+    """For the shell: the words that begin as what is typed."""
+
+    def complete(incomplete: str) -> list[str]:
+        return [word for word in choices if word.startswith(incomplete)]
+
+    return complete
 
 
 def _plain(annotation: Any) -> Any:

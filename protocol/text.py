@@ -1,5 +1,6 @@
 """Texts of messages and logs: the release, and what came from elsewhere, made fit for a line."""
 
+import re
 from functools import cache
 from importlib.metadata import version
 
@@ -8,6 +9,11 @@ from importlib.metadata import version
 def release() -> str:
     """The version of the installed package, read once: its files take milliseconds."""
     return version("fleetpose")
+
+
+def without_source(said: str) -> str:
+    """What zenoh said, without where in its own source: paths of the machine that built it."""
+    return re.sub(r" at /\S+:\d+\.?", "", said)
 
 
 def one_line(text: str, at_most: int = 2000) -> str:

@@ -9,17 +9,17 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from fleetpose.protocol.commands import Version, run_command
+from fleetpose.protocol.commands import Version, command_line, examples, run_command
 from fleetpose.protocol.logs import log_to_stderr
 from fleetpose.protocol.settings import DumpSettings, SettingsFile, with_options
 from fleetpose.robot_agent.cameras.topics.options import UpSource
 from fleetpose.robot_agent.settings import RobotSettings
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
+app = command_line()
 
 Calibration = Annotated[
     Path | None,
-    typer.Option(help="Stereo: of OpenCV, Kalibr, ROS, ORB-SLAM ... [default: beside images]"),
+    typer.Option(help="Stereo: in any tool's layout. [default: beside the images]"),
 ]
 Unit = Annotated[
     float | None,
@@ -45,7 +45,13 @@ def _agent(version: Version = False) -> None:
     """A robot's process: camera to 3D points to the fleet."""
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "robot-agent run --name r1 --camera rgbd --data recordings/kitchen",
+        "robot-agent run --name r2 --camera stereo --data /dev/video0 \\",
+        "    --calibration rig.yaml --connect tcp/192.168.1.10:7447",
+    )
+)
 @with_options(RobotSettings, {"rate_hz": "--rate"})
 def run(
     *,
@@ -78,7 +84,10 @@ def run(
     _leave()
 
 
-@app.command("calibrate-check")
+@app.command(
+    "calibrate-check",
+    epilog=examples("robot-agent calibrate-check --data /dev/video0 --calibration rig.yaml"),
+)
 def calibrate_check(
     data: Annotated[str, typer.Option(help="Folder, video, or device; or left,right.")],
     calibration: Calibration = None,
@@ -119,7 +128,7 @@ def calibrate_check(
     raise typer.Exit(run(options))
 
 
-@app.command()
+@app.command(epilog=examples("robot-agent inspect recordings/kitchen"))
 def inspect(
     source: Annotated[str, typer.Argument(help="Folder, file, or device; or left,right.")],
     calibration: Calibration = None,
@@ -139,7 +148,12 @@ def inspect(
     _leave()
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "robot-agent topics walk.mcap",
+        "robot-agent topics tcp/192.168.1.21:7447 --namespace /r1",
+    )
+)
 def topics(
     source: Annotated[
         str, typer.Argument(help="A bag (.mcap, .db3, .bag, folder; or a,b), or tcp/ROBOT:7447.")
@@ -157,8 +171,9 @@ def topics(
     domain: Annotated[int, typer.Option(min=0, max=232, help="ROS_DOMAIN_ID of a robot.")] = 0,
     calibration: Calibration = None,
 ) -> None:
-    """Says what a bag has, or a robot that runs ROS 2 and whose router is named: topics, rates,
-    which make a camera and why, and what is missing. A robot is listened to for two seconds.
+    """Says which topics of a bag, or of a robot with ROS 2, make a camera, and what is missing.
+
+    Of each topic: its rate, and why it was chosen. A robot is listened to for two seconds.
     """
     from fleetpose.robot_agent.cameras.topics.options import TopicOptions
     from fleetpose.robot_agent.checking.topics.report import report

@@ -30,7 +30,9 @@ class RobotSettings(ProcessSettings):
             return given
         return given | {"name": name_of(str(given["namespace"]))}
 
-    name: Name = Field(description="the robot's name, unique in its site")
+    name: Name = Field(
+        description="the robot's name, unique in its site; else config or namespace tells it"
+    )
     site: Name = Field("demo", description="the fleet's site")
     connect: Endpoints = Field(
         ("tcp/127.0.0.1:7447",),
@@ -44,9 +46,7 @@ class RobotSettings(ProcessSettings):
     connect_timeout_s: float = Field(
         -1.0, description="wait so long for a router at the start; negative: for ever"
     )
-    camera: CameraKind = Field(
-        description="rgbd, views, reconstruction, cloud, stereo, bag, ros or synthetic"
-    )
+    camera: CameraKind = Field(description="what the robot sees with, or whose recording it plays")
     data: str = Field(
         "",
         description="folder, bag, video, device (or left,right), or endpoint (ros: of the "

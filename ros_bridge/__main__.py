@@ -2,17 +2,11 @@
 
 from typing import Any
 
-import typer
-
-from fleetpose.protocol.commands import Version, require, run_command
+from fleetpose.protocol.commands import Version, command_line, examples, require, run_command
 from fleetpose.protocol.settings import DumpSettings, SettingsFile, with_options
 from fleetpose.ros_bridge.settings import BridgeSettings
 
-app = typer.Typer(
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    help="The fleet's poses in ROS 2.",
-)
+app = command_line()
 
 
 @app.callback()
@@ -22,7 +16,7 @@ def _ros(version: Version = False) -> None:
     """
 
 
-@app.command()
+@app.command(epilog=examples("pose-ros bridge --robot r1=/r1 --connect tcp/192.168.1.10:7447"))
 @with_options(BridgeSettings)
 def bridge(
     *,
@@ -34,8 +28,6 @@ def bridge(
 
     Of each robot that is located: /fleet/NAME/pose (PoseWithCovarianceStamped),
     /fleet/NAME/odometry, and its own frames, behind its name, on --tf. Nothing is told of others.
-
-    Example: pose-ros bridge --robot r1=/r1 --robot r2=/r2 --connect tcp/192.168.1.10:7447
     """
     loaded = BridgeSettings.load(settings, given)
     if dump_settings:

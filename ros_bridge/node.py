@@ -12,16 +12,14 @@ from functools import cache
 from importlib.util import find_spec
 from typing import Any
 
-import typer
-
-from fleetpose.protocol.commands import require, run_command
+from fleetpose.protocol.commands import command_line, require, run_command
 from fleetpose.protocol.drops import Drops
 from fleetpose.protocol.settings import SettingsFile, with_options
 from fleetpose.ros_bridge.settings import BridgeSettings
 from fleetpose.ros_bridge.topics import ODOMETRY, TF, Message, Topics, Wanted
 
 log = logging.getLogger("pose-ros")
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = command_line(no_args_is_help=False)
 
 _DEPTH = 100  # messages that wait, as tf2 has it
 _LOOK_S = 1.0  # between two looks for new topics

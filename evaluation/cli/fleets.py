@@ -15,11 +15,12 @@ from fleetpose.evaluation.options.recorded import (
     RingOptions,
     SolveOptions,
 )
+from fleetpose.protocol.commands import examples
 
 app = typer.Typer()
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval ring --data kitchen --clicks 0,3 --draws 3 --out out/ring"))
 @of(RingOptions)
 def ring(options: RingOptions, out: Out) -> None:
     """Put robots on rings at 5 to 45 degrees, click on all neighbours, and locate them: the paper's
@@ -37,7 +38,7 @@ def ring(options: RingOptions, out: Out) -> None:
     run(options, out)
 
 
-@app.command("map")
+@app.command("map", epilog=examples("pose-eval map --data kitchen --out out/map"))
 @of(MapOptions)
 def fleet_map(options: MapOptions, out: Out) -> None:
     """Put a fleet together without network and clicks, merge its map, and lay it beside the truth:
@@ -51,7 +52,12 @@ def fleet_map(options: MapOptions, out: Out) -> None:
     run(options, out)
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "pose-eval bench --layout euroc --data euroc --robots MH_01_easy,MH_02_easy \\",
+        "    --out out/euroc",
+    )
+)
 @of(BenchOptions)
 def bench(options: BenchOptions, out: Out) -> None:
     """Play a published benchmark by its sequences as robots, without network and clicks, and print
@@ -69,7 +75,7 @@ def bench(options: BenchOptions, out: Out) -> None:
     run(options, out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval formats --out out/formats"))
 @of(FormatsOptions)
 def formats(options: FormatsOptions, out: Out) -> None:
     """Write trajectories and reconstructions of a small fleet; compare what others make of them:
@@ -85,7 +91,7 @@ def formats(options: FormatsOptions, out: Out) -> None:
     raise typer.Exit(run(options, out))
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval neighbours --robots 200 --out out/neighbours"))
 @of(NeighboursOptions)
 def neighbours(options: NeighboursOptions, out: Out) -> None:
     """Ask the server's index of keyframes for the neighbours of each of a thousand robots, in as
@@ -99,7 +105,7 @@ def neighbours(options: NeighboursOptions, out: Out) -> None:
     run(options, out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval synth --robots 24 --out out/town"))
 @of(SynthOptions)
 def synth(options: SynthOptions, out: Out) -> None:
     """Write a synthetic world as a folder of posed views: the town square with robots on a ring at
@@ -113,7 +119,7 @@ def synth(options: SynthOptions, out: Out) -> None:
     run(options, out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval solve --robots 72 --out out/solve"))
 @of(SolveOptions)
 def solve(options: SolveOptions, out: Out) -> None:
     """Solve a fleet's pose graph, without cameras or a network: how fast, and does it find the
@@ -130,7 +136,7 @@ def solve(options: SolveOptions, out: Out) -> None:
         solving.run(options, out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval questions --data kitchen --seeds 5 --out out/questions"))
 @of(QuestionsOptions)
 def questions(options: QuestionsOptions, out: Out) -> None:
     """Count clicks until the whole fleet is located and right: by the server's questions, by the
@@ -147,7 +153,7 @@ def questions(options: QuestionsOptions, out: Out) -> None:
     run(options, out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval replay walk.mcap --out out/replay"))
 def replay(
     file: Annotated[Path, typer.Argument(help="A recording of 'pose-server record'.")],
     out: Out,

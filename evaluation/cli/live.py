@@ -19,11 +19,17 @@ from fleetpose.evaluation.options.fleets import (
 )
 from fleetpose.evaluation.options.recorded import Out
 from fleetpose.evaluation.options.ros import RosOptions
+from fleetpose.protocol.commands import examples
 
 app = typer.Typer()
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "pose-eval fleet --robots 6 --seconds 60 --out out/fleet",
+        "pose-eval fleet --offline --data kitchen --seeds 5 --out out/offline",
+    )
+)
 @of(FleetOptions)
 def fleet(options: FleetOptions, out: Out) -> None:
     """Run a live fleet on a recording or in the synthetic world and score its poses.
@@ -44,7 +50,7 @@ def fleet(options: FleetOptions, out: Out) -> None:
     run(options, out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval restarts --out out/restarts"))
 @of(RestartsOptions)
 def restarts(options: RestartsOptions, out: Out) -> None:
     """Start fleets anew, each with other noise and other views, and compare the errors of their
@@ -59,7 +65,7 @@ def restarts(options: RestartsOptions, out: Out) -> None:
     run(options, out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval soak --hours 1 --out out/soak"))
 @of(SoakOptions)
 def soak(options: SoakOptions, out: Out) -> None:
     """Let a fleet of walking robots run for hours under an operator who clicks, while processes are
@@ -73,7 +79,7 @@ def soak(options: SoakOptions, out: Out) -> None:
     run(options, out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval faults --kills 10 --out out/faults"))
 @of(FaultOptions)
 def faults(options: FaultOptions, out: Out) -> None:
     """Kill server, router, robots and the operator's client under clicks, freeze a client, click
@@ -86,7 +92,7 @@ def faults(options: FaultOptions, out: Out) -> None:
     run(options.with_usual(), out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval field --attacks --out out/field"))
 @of(FieldOptions)
 def field(options: FieldOptions, out: Out) -> None:
     """Run a small fleet from a site's bundles (TLS on both sides, rules that deny by default) and
@@ -104,7 +110,7 @@ def field(options: FieldOptions, out: Out) -> None:
     run(options, out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval bags --out out/bags"))
 @of(BagsOptions)
 def bags(options: BagsOptions, out: Out) -> None:
     """Hold robots out of bags to their bars, without ROS: `robot-agent topics` ends 0 on every bag;
@@ -121,7 +127,7 @@ def bags(options: BagsOptions, out: Out) -> None:
     raise typer.Exit(run(options, out))
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval ros --out out/ros"))
 @of(RosOptions)
 def ros(options: RosOptions, out: Out) -> None:
     """Run stand-ins for robots that run ROS 2 (rmw_zenoh as of Jazzy and of Humble, and behind
@@ -149,7 +155,7 @@ def load(
     run([Source.parse(text) for text in robot], tuple(connect), site, rate, frames)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval fuzz --messages 2000 --out out/fuzz"))
 def fuzz(
     out: Out,
     messages: Annotated[int, typer.Option(min=0, help="How many malformed messages.")] = 20_000,
@@ -181,7 +187,7 @@ def fuzz(
     raise typer.Exit(0 if good else 1)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval demo", "pose-eval demo --robots 4 --web"))
 def demo(
     robots: Annotated[int, typer.Option(min=2, help="How many.")] = 6,
     seconds: Annotated[float, typer.Option(help="At most, without a screen.")] = 90,
@@ -212,7 +218,7 @@ def tutor(
     run(recording, keep, tuple(filter(None, apart.split(","))), speed)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval world --listen 127.0.0.1:7500"))
 @of(WorldOptions)
 def world(
     options: WorldOptions,
@@ -225,7 +231,7 @@ def world(
     serve(options, listen, truth_file)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval hmi --out out/hmi"))
 @of(HmiOptions)
 def hmi(options: HmiOptions, out: Out) -> None:
     """Measure the text client in a pseudo-terminal (bytes, CPU, memory, from key to screen), with
@@ -251,7 +257,7 @@ def stand_in(
     run(Load(robots, moving=moving), tuple(connect or ()), site, notes)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval operate --out out/operate"))
 @of(OperateOptions)
 def operate(options: OperateOptions, out: Out) -> None:
     """Join a fleet in two pieces by keys alone: the text client in a real terminal (tmux), and a

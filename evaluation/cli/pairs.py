@@ -16,11 +16,12 @@ from fleetpose.evaluation.options.recorded import (
     PersistOptions,
     WireOptions,
 )
+from fleetpose.protocol.commands import examples
 
 app = typer.Typer()
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval pairs --data kitchen --limit 60 --out out/pairs"))
 @of(PairsOptions)
 def pairs(options: PairsOptions, out: Out) -> None:
     """Align every pair of a recording, automatically, and compare with the truth."""
@@ -29,7 +30,9 @@ def pairs(options: PairsOptions, out: Out) -> None:
     run(options, out)
 
 
-@app.command()
+@app.command(
+    epilog=examples("pose-eval trust out/pairs out/other --held-out out/third --out out/trust")
+)
 def trust(
     fitted: Annotated[list[Path], typer.Argument(help="Folders that `pairs` wrote, to fit on.")],
     out: Out,
@@ -43,14 +46,14 @@ def trust(
     run(fitted, held_out or [], out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval ablate --data kitchen --out out/ablate"))
 @of(AblateOptions)
 def ablate(
     options: AblateOptions,
     out: Out,
     names: Annotated[
         list[str] | None,
-        typer.Argument(help="Stages, GROUP, GROUP.NUMBER or GROUP.NUMBER=VALUE; default: all."),
+        typer.Argument(help="Stages, GROUP, GROUP.NUMBER or GROUP.NUMBER=VALUE. [default: all]"),
     ] = None,
 ) -> None:
     """Switch a stage of the alignment off, or change a fitted number, and tell what that costs.
@@ -62,7 +65,7 @@ def ablate(
     run(options, names or [], out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval cluster --data kitchen --out out/cluster"))
 @of(ClusterOptions)
 def cluster(options: ClusterOptions, out: Out) -> None:
     """Align pairs on Dask clusters of one, two, four workers on this machine: pairs per second,
@@ -73,7 +76,7 @@ def cluster(options: ClusterOptions, out: Out) -> None:
     run(options, out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval align --data kitchen --out out/align"))
 @of(AlignOptions)
 def align(options: AlignOptions, out: Out) -> None:
     """Align pairs that see enough of the same, beside Open3D and KISS-Matcher with GICP."""
@@ -82,7 +85,9 @@ def align(options: AlignOptions, out: Out) -> None:
     run(options, out)
 
 
-@app.command()
+@app.command(
+    epilog=examples("pose-eval clicks --data kitchen --clicks 3 --angles 40,90 --out out/clicks")
+)
 @of(ClicksOptions)
 def clicks(options: ClicksOptions, out: Out) -> None:
     """Click in all pairs of views within a range of angles, rightly or wrongly; tell how often the
@@ -102,7 +107,7 @@ def clicks(options: ClicksOptions, out: Out) -> None:
     (deceived if deceives else command).run(options, out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval persist --data kitchen --out out/persist"))
 @of(PersistOptions)
 def persist(options: PersistOptions, out: Out) -> None:
     """Click once between two moving robots, then compare the next views with and without these
@@ -117,7 +122,7 @@ def persist(options: PersistOptions, out: Out) -> None:
     run(options, out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval wire --data kitchen --out out/wire"))
 @of(WireOptions)
 def wire(options: WireOptions, out: Out) -> None:
     """Measure the cloud codecs beside PNG, Draco and raw numbers."""
@@ -126,7 +131,7 @@ def wire(options: WireOptions, out: Out) -> None:
     run(options, out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval stereo --out out/stereo"))
 def stereo(out: Out) -> None:
     """Play a stereo video of the synthetic world; check calibrations, right and wrong."""
     from fleetpose.evaluation.bench.stereo import run
@@ -134,7 +139,7 @@ def stereo(out: Out) -> None:
     run(out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval cameras --out out/cameras"))
 def cameras(
     faults: Annotated[
         Path | None, typer.Option(help="Folder of cases, a folder each, that must not be misread.")

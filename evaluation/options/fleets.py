@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Literal, Self, get_args
 
 from fleetpose.evaluation.options.building import Text, numbers, told
 from fleetpose.evaluation.options.names import CloudKind, PlanName
@@ -19,7 +19,10 @@ def _columns_and_rows(option: str, text: str) -> tuple[int, int]:
     return size_of(text)
 
 
-_FOOLS = "A place of alike parts that fools, instead of the town square."
+_FOOLS = (
+    "A place of alike parts that fools, instead of the town square: "
+    f"{', '.join(get_args(PlanName))}."
+)
 _UNIQUE = "Things in it that are like no other: posters, carts, statues."
 _SIZE = Text(_columns_and_rows, lambda size: f"{size[0]}x{size[1]}")
 
@@ -31,7 +34,7 @@ class SynthOptions:
     robots: int = told("On the ring 8 to 72: neighbours are 360/N deg apart.", ..., min=2)
     seed: int = told("Of textures, places and noise.", 0)
     workers: int = told("Processes.", 2, min=1)
-    plan: PlanName | None = told(_FOOLS, None, "--world")
+    plan: PlanName | None = told(_FOOLS, None, "--world", metavar="PLACE")
     unique: int = told(_UNIQUE, 0, min=0)
 
 
@@ -59,7 +62,7 @@ class WorldOptions:
     moving: bool = told("The robots walk slowly.", False, "--moving")
     turning: tuple[str, ...] = told("A robot that looks to and fro; repeatable.", ())
     person: bool = told("Somebody walks before the second robot.", False, "--person")
-    plan: PlanName | None = told(_FOOLS)
+    plan: PlanName | None = told(_FOOLS, metavar="PLACE")
     unique: int = told(_UNIQUE, 0, min=0)
 
     @property
@@ -138,7 +141,7 @@ class FleetOptions(_Sets):
     )
     workers: int = told("Alignment processes.", 2, min=1)
     moving: bool = told("Synthetic robots walk.", False, "--moving")
-    world: PlanName | None = told(_FOOLS)
+    world: PlanName | None = told(_FOOLS, metavar="PLACE")
     unique: int = told(_UNIQUE, 0, min=0)
     seed: int = told("Of the synthetic world and the operator.", 0)
     mistakes: float = told("Share of questions answered wrongly, as people do.", 0.0, min=0, max=1)
@@ -230,7 +233,7 @@ class HmiOptions:
 class OperateOptions:
     """What `pose-eval operate` is asked for."""
 
-    data: Path | None = told("Recording; default: the synthetic world.")
+    data: Path | None = told("Recording. [default: the synthetic world]")
     clouds: CloudKind | None = told(CLOUDS)
     metres_per_unit: float | None = told(SCALE)
     robots: int = told("The last one is kept apart.", 3, min=2)

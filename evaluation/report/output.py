@@ -105,13 +105,15 @@ def progress_bar() -> Any:
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Prints a table; numbers are shown with four significant digits, None as a dash."""
+    from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left")
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for number, column in enumerate(columns):
         first = number == 0  # a name that is cut short names nothing
-        table.add_column(column, justify="left" if first else "right", no_wrap=first)
+        justify = "left" if first else "right"
+        table.add_column(column, justify=justify, no_wrap=first, overflow="fold")
     for row in rows:
         table.add_row(*(cell(value) for value in row))
     Console().print(table)

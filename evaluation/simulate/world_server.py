@@ -171,7 +171,7 @@ def main(options: WorldOptions, listen: str, truth_file: Path | None) -> None:
     try:
         server = WorldServer((host, int(port)), world, log)
     except OSError as error:
-        raise FleetPoseError(f"cannot listen on {listen}: {error}") from error
+        raise FleetPoseError(f"cannot listen on {listen}: {error.strerror}") from error
     if truth_file is not None:
         write_truth(world, truth_file)
     for number in (signal.SIGTERM, signal.SIGINT):

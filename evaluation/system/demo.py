@@ -225,14 +225,14 @@ def report(result: DemoResult, leftover_processes: int) -> int:
 
 def _print_errors(rows: list[SampleRow]) -> None:
     print_table(
-        "position errors, the anchor as gauge",
+        "position errors against the truth; the origin counts as right",
         ("robot", "located", "error m", "error deg"),
         [
             (
-                row.robot + (" (anchor)" if row.is_anchor else ""),
+                row.robot + (" (origin)" if row.is_anchor else ""),
                 "yes" if row.located else "no",
-                row.position_error_m,
-                row.rotation_error_deg,
+                None if row.is_anchor else row.position_error_m,
+                None if row.is_anchor else row.rotation_error_deg,
             )
             for row in rows
         ],

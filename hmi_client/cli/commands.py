@@ -16,22 +16,26 @@ from fleetpose.hmi_client.cli import correspondences, recordings, tutor, web
 from fleetpose.hmi_client.cli.options import Fps, KeysFile, LogFile, SettingsFile, Theme, Threshold
 from fleetpose.hmi_client.errors import NoServerError, OperatorError
 from fleetpose.hmi_client.settings import ClientSettings
-from fleetpose.protocol.commands import Version
+from fleetpose.protocol.commands import Version, command_line, examples
 from fleetpose.protocol.settings import DumpSettings
 
 LATCHED_S = 1.0  # what is latched and has not come by then was never told
 
-app = typer.Typer(
-    no_args_is_help=False,
-    pretty_exceptions_enable=False,
-)
+app = command_line(no_args_is_help=False)
 app.add_typer(correspondences.app, name="correspondences")
 app.add_typer(recordings.app)
 app.add_typer(tutor.app)
 app.add_typer(web.app)
 
 
-@app.callback(invoke_without_command=True)
+@app.callback(
+    invoke_without_command=True,
+    epilog=examples(
+        "hmi-client --connect tcp/192.168.1.10:7447",
+        "hmi-client --site hall,yard",
+        "hmi-client why r3",
+    ),
+)
 def default(
     context: typer.Context,
     fps: Fps = 10.0,
@@ -65,7 +69,7 @@ def default(
         typer.echo(context.get_help())
 
 
-@app.command()
+@app.command(epilog=examples("hmi-client screen --connect tcp/192.168.1.10:7447 --site hall"))
 def screen(
     fps: Fps = 10.0,
     threshold: Threshold = None,
@@ -84,12 +88,12 @@ def screen(
     run_screen(where, fps, threshold, log, theme, keys_file)
 
 
-@app.command()
+@app.command(epilog=examples("hmi-client screenshot --out fleet.svg --size 160x50"))
 def screenshot(
     out: Annotated[Path, typer.Option(help="the SVG file")],
     size: Annotated[str, typer.Option(help="columns x rows")] = "160x50",
     after: Annotated[float, typer.Option(help="seconds to wait at most", min=0.0)] = 10.0,
-    pair: Annotated[str, typer.Option(help="R1,R2; default: the first question's")] = "",
+    pair: Annotated[str, typer.Option(help="R1,R2 [default: the first question's]")] = "",
     maximise: Annotated[bool, typer.Option(help="show the images only")] = False,
     theme: Theme = "auto",
     threshold: Threshold = None,
@@ -110,7 +114,7 @@ def screenshot(
     typer.echo(f"{out}{missing}")
 
 
-@app.command("keys")
+@app.command("keys", epilog=examples("hmi-client keys > my-keys.toml"))
 def show_keys(keys_file: KeysFile = None) -> None:
     """Prints the keys of all commands, as a file that you can change and use (--keys)."""
     from fleetpose.hmi_client.local_files import keymap_of
@@ -118,9 +122,11 @@ def show_keys(keys_file: KeysFile = None) -> None:
     typer.echo(keymap_of(keys_file).as_toml(), nl=False)
 
 
-@app.command()
+@app.command(epilog=examples("hmi-client watch", "hmi-client watch --json --seconds 60"))
 def watch(
-    seconds: Annotated[float | None, typer.Option(help="stop after; default: Ctrl-C")] = None,
+    seconds: Annotated[
+        float | None, typer.Option(help="stop after so many [default: at Ctrl-C]")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print JSON lines")] = False,
     wait: Annotated[
         bool, typer.Option("--wait/--no-wait", help="for router and server; else exit code 3")
@@ -146,7 +152,7 @@ def watch(
             typer.echo(line)
 
 
-@app.command()
+@app.command(epilog=examples("hmi-client status --connect tcp/192.168.1.10:7447"))
 def status(
     connect: c.Connect = c.DEFAULT_CONNECT,
     site: c.Sites = c.DEFAULT_SITE,
@@ -169,16 +175,16 @@ def status(
 
 
 def _status_of(where: c.Connection) -> str:
-    from fleetpose.hmi_client.cli.reports import status_text
+    from fleetpose.hmi_client.cli.reports import status_text, terminal_columns
     from fleetpose.protocol.transport import wait_until
 
     with where.server() as session:
         session.wait_change({}, ("status",), 2.0)
         wait_until(lambda: set(session.robots()) <= set(session.versions), LATCHED_S, poll_s=0.1)
-        return status_text(session)
+        return status_text(session, terminal_columns())
 
 
-@app.command()
+@app.command(epilog=examples("hmi-client why r3"))
 def why(
     robot: Annotated[str, typer.Argument(help="a robot's name")],
     as_json: Annotated[bool, typer.Option("--json", help="print JSON")] = False,
@@ -189,6 +195,7 @@ def why(
 ) -> None:
     """Says why a robot is located (exit code 0) or not (1), and what to do next."""
     from fleetpose.hmi_client.cli.clicking import wait_for_sets
+    from fleetpose.hmi_client.cli.reports import terminal_columns
     from fleetpose.hmi_client.cli.why import tried_pairs, why_record, why_text
     from fleetpose.protocol.transport import wait_until
 
@@ -199,7 +206,7 @@ def why(
         tried = set(tried_pairs(session, robot))
         wait_until(lambda: tried <= set(session.alignments(robot)), LATCHED_S, poll_s=0.1)
         record = why_record(session, robot, session.alignments(robot))
-    typer.echo(json.dumps(record, indent=1) if as_json else why_text(record))
+    typer.echo(json.dumps(record, indent=1) if as_json else why_text(record, terminal_columns()))
     raise typer.Exit(0 if record["located"] else 1)
 
 

@@ -51,7 +51,7 @@ Config = Annotated[
 Operator = Annotated[
     str,
     typer.Option(
-        help="who you are; default: the user's name",
+        help="who you are [default: the user's name]",
         callback=given_before,
     ),
 ]

@@ -11,14 +11,20 @@ import typer
 
 from fleetpose.hmi_client.cli import connection as c
 from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.protocol.commands import Group, examples
 
-app = typer.Typer(help="Add, erase, list, export and import correspondences.")
+app = typer.Typer(cls=Group, help="Add, erase, list, export and import correspondences.")
 
 Robot = Annotated[str, typer.Argument(help="a robot's name")]
 Timeout = Annotated[float, typer.Option(help="seconds to wait for the server's receipt", min=0.0)]
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "hmi-client correspondences add r1 r3 212,148,305,160",
+        "hmi-client correspondences add r1 r3 212,148,305,160 90.5,77,181,80",
+    )
+)
 def add(
     robot_1: Robot,
     robot_2: Robot,
@@ -46,7 +52,7 @@ def add(
         raise typer.Exit(clicking.add_all(session, picks, timeout))
 
 
-@app.command()
+@app.command(epilog=examples("hmi-client correspondences erase r1 r3 4 5"))
 def erase(
     robot_1: Robot,
     robot_2: Robot,
@@ -68,7 +74,7 @@ def erase(
         raise typer.Exit(clicking.report(session, tickets, [f"erased {id}" for id in ids]))
 
 
-@app.command()
+@app.command(epilog=examples("hmi-client correspondences clear r1 r3"))
 def clear(
     robot_1: Robot,
     robot_2: Robot,
@@ -92,7 +98,7 @@ def clear(
         raise typer.Exit(clicking.report(session, [ticket], [f"cleared {pair[0]} - {pair[1]}"]))
 
 
-@app.command("list")
+@app.command("list", epilog=examples("hmi-client correspondences list r1 r3"))
 def list_(
     robot_1: Annotated[str, typer.Argument(help="a robot's name; all pairs without")] = "",
     robot_2: Annotated[str, typer.Argument(help="the other robot")] = "",
@@ -129,7 +135,7 @@ def list_(
             typer.echo("no correspondences")
 
 
-@app.command()
+@app.command(epilog=examples("hmi-client correspondences export clicks.json"))
 def export(
     file: Annotated[Path, typer.Argument(help="a .csv or .json file")],
     connect: c.Connect = c.DEFAULT_CONNECT,
@@ -150,7 +156,7 @@ def export(
     typer.echo(f"{len(records)} correspondences of {len(pairs)} pairs written to {file}")
 
 
-@app.command("import")
+@app.command("import", epilog=examples("hmi-client correspondences import clicks.json"))
 def import_(
     file: Annotated[Path, typer.Argument(help="a .csv or .json file")],
     timeout: Timeout = 5.0,

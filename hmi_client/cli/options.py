@@ -56,7 +56,7 @@ Fps = Annotated[
 Threshold = Annotated[
     float | None,
     typer.Option(
-        help="hide errors above it, metres; default: a tenth of the scene's depth",
+        help="hide errors above it, metres [default: a tenth of the scene's depth]",
         min=0.0001,
         callback=given_before,
     ),
@@ -65,13 +65,13 @@ KeysFile = Annotated[
     Path | None,
     typer.Option(
         "--keys",
-        help="TOML file of keys, see 'hmi-client keys'; default: keys.toml in the config folder",
+        help="TOML file of keys, see 'hmi-client keys' [default: keys.toml in the config folder]",
         callback=given_before,
     ),
 ]
 LogFile = Annotated[
     Path | None,
-    typer.Option(help="log file; default in the state folder", callback=given_before),
+    typer.Option(help="log file [default: in the state folder]", callback=given_before),
 ]
 Theme = Annotated[
     Literal["auto", "dark", "light", "mono"],

@@ -8,13 +8,14 @@ import typer
 
 from fleetpose.hmi_client.cli import connection as c
 from fleetpose.hmi_client.cli.options import Fps, KeysFile, LogFile, Theme, Threshold
+from fleetpose.protocol.commands import examples
 
 app = typer.Typer()
 
 File = Annotated[Path, typer.Argument(help="the recording, an MCAP file")]
 
 
-@app.command()
+@app.command(epilog=examples("hmi-client record shift.mcap"))
 def record(
     file: File,
     fps: Fps = 10.0,
@@ -37,7 +38,7 @@ def record(
     run_screen((where,), fps, threshold, log, theme, keys, record=file)
 
 
-@app.command()
+@app.command(epilog=examples("hmi-client replay shift.mcap --speed 4"))
 def replay(
     file: File,
     speed: Annotated[float, typer.Option(help="times as fast", min=0.05, max=100.0)] = 1.0,

@@ -2,6 +2,9 @@
 
 import json
 import math
+import shutil
+import sys
+import textwrap
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
@@ -20,14 +23,29 @@ _DOUBTFUL = 5  # pairs that the status names
 _DENIALS = 3  # kinds of denials of one name
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Left-aligned columns, as wide as they need."""
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], columns: int | None = None) -> str:
+    """Left-aligned columns, as wide as they need; where that is more than so many columns, each row
+    is a paragraph instead, whose cells begin with what they are.
+    """
     lines = [tuple(head), *(tuple(row) for row in rows)]
     widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
+    if columns is not None and sum(widths) + 2 * (len(head) - 1) > columns:
+        return "\n".join(_paragraph(head, row, columns) for row in lines[1:])
     return "\n".join(
         "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
         for line in lines
     )
+
+
+def _paragraph(head: Sequence[str], row: Sequence[str], columns: int) -> str:
+    first, *cells = (f"{name} {cell}".strip() for name, cell in zip(head, row, strict=True) if cell)
+    text = f"{first}: {'; '.join(cells)}"
+    return textwrap.fill(text, max(columns, 20), subsequent_indent="    ")
+
+
+def terminal_columns() -> int | None:
+    """How wide the terminal is; none where the output goes elsewhere and is not to be wrapped."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
 def pose_record(pose: RobotPose) -> Record:
@@ -125,7 +143,7 @@ class Watcher:
     def _events(self) -> list[Record]:
         events, told = self._session.events_since(self._events_told)
         self._events_told = told
-        return [{"type": "event", "text": text} for text in events]
+        return [{"type": "event", "text": plain(text)} for text in events]
 
     def _drops(self) -> list[Record]:
         counts = self._session.drops.snapshot()
@@ -196,8 +214,8 @@ def _at_the_routers(status: ServerStatus) -> list[str]:
     return lines + ([f"turned away: {turned_away}"] if turned_away else [])
 
 
-def status_text(session: OperatorSession) -> str:
-    """The server, its robots and its questions."""
+def status_text(session: OperatorSession, columns: int | None = None) -> str:
+    """The server, its robots and its questions; tables at most so many columns wide."""
     parts = []
     status = session.status
     if status is not None:
@@ -216,17 +234,19 @@ def status_text(session: OperatorSession) -> str:
     parts.append(f"{located} of {len(rows)} robots located, origin {anchor or 'none'}")
     if rows:
         head = ("robot", "located", "x m", "y m", "z m", "heading", "sigma", "why not")
-        parts.append(table(head, rows))
+        parts.append(table(head, rows, columns))
     doubtful = doubtful_rows(session)
     if doubtful:
-        parts.append(table(("pair", "error", "tried", "most likely to be wrong"), doubtful))
+        parts.append(
+            table(("pair", "error", "tried", "most likely to be wrong"), doubtful, columns)
+        )
     alarms = session.fleet.alarms if session.fleet else ()
     if alarms:
         parts.append("\n".join(f"alarm: {alarm.robot}: {alarm.text}" for alarm in alarms))
     questions = session.fleet.questions if session.fleet else ()
     asked = [(str(k), f"{q.i} - {q.j}", plain(q.reason)) for k, q in enumerate(questions, start=1)]
     if asked:
-        parts.append(table(("question", "pair", "reason"), asked))
+        parts.append(table(("question", "pair", "reason"), asked, columns))
     else:
         parts.append("no questions")
     return "\n\n".join(parts)

@@ -7,11 +7,12 @@ import typer
 
 from fleetpose.hmi_client.cli import connection as c
 from fleetpose.hmi_client.cli.options import KeysFile, LogFile, Threshold
+from fleetpose.protocol.commands import examples
 
 app = typer.Typer()
 
 
-@app.command()
+@app.command(epilog=examples("hmi-client web --connect tcp/192.168.1.10:7447"))
 def web(
     listen: Annotated[
         str, typer.Option(help="where pages are served, HOST:PORT")

@@ -139,8 +139,8 @@ def next_for(record: Record) -> str:
     )
 
 
-def why_text(record: Record) -> str:
-    """The same for reading."""
+def why_text(record: Record, columns: int | None = None) -> str:
+    """The same for reading; its table is at most so many columns wide."""
     robot = record["robot"]
     verdict = "is located" if record["located"] else "is not located"
     reason = record["reason"] or ("" if record["located"] else "the server gives no reason")
@@ -158,7 +158,7 @@ def why_text(record: Record) -> str:
             "clicked",
             "newest alignment",
         )
-        parts.append(table(head, rows))
+        parts.append(table(head, rows, columns))
     more = max(0, len(record["pairs"]) - SHOWN_PAIRS)
     if more or record["untried"]:
         parts.append(f"{more} more pairs were tried, {record['untried']} never")

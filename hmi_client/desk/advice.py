@@ -11,7 +11,7 @@ from fleetpose.hmi_client.desk.state import Tone
 from fleetpose.hmi_client.desk.words import (
     answer_of,
     count_text,
-    describe_cell,
+    facts_of_cell,
     located_text,
     plain,
     sentences,
@@ -184,7 +184,7 @@ def _suggested(desk: Desk) -> Step | None:
     title = f"Suggestion {proposal.number} of {proposal.of}: do both crosses show the same point?"
     depths = (desk.depth(0), desk.depth(1))
     facts = [
-        f"{'unknown' if depth is None else length_text(depth)} away in {desk.robot(side)}"
+        f"{'not known how far' if depth is None else length_text(depth)} away in {desk.robot(side)}"
         for side, depth in enumerate(depths)
     ]
     facts = [", ".join(facts)] if any(depth is not None for depth in depths) else []
@@ -324,7 +324,7 @@ def _context(desk: Desk) -> tuple[str, ...]:
     cell = session.cell(session.pair) if session.pair else None
     if question is not None and points >= NEEDED and cell and cell.verdict != "verified":
         asked = (f"{count_text(points)} clicked, not confirmed by the images yet", *asked)
-    return (*(here if others else ()), *asked, describe_cell(session))
+    return (*(here if others else ()), *asked, *facts_of_cell(session))
 
 
 def _act(desk: Desk, do: str, label: str, primary: bool = False, **args: Any) -> Action:

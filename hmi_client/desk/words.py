@@ -2,6 +2,7 @@
 
 import math
 import re
+import textwrap
 from collections.abc import Mapping
 
 from fleetpose.hmi_client.model.matrix import are_joined, components_of, doubt_text, length_text
@@ -50,6 +51,9 @@ _PLAIN = (
     ),
     (r"gravely off with a probability of ([\d.]+)%.*", r"\1 % likely to be gravely off"),
     (r"^(\d+) matches, need (\d+)$", r"only \1 image features are alike, \2 are needed"),
+    (r"(\S+) is now in component (\S+) \(was \S+\)", r"\1 is now in the group of \2"),
+    (r"\((\d+) correspondences\)", r"(\1 points)"),
+    (r"(\d+) matches agree to ([\d.]+) px", r"\1 image features agree to \2 px"),
     (r"not joined to the anchor", "a separate group: not joined to the origin"),
 )
 
@@ -100,6 +104,15 @@ def sentences(text: str) -> list[str]:
     return [part.rstrip(".") for part in parts if part.strip(" .")]
 
 
+def shortened(text: str, width: int) -> str:
+    """As many whole thoughts of a text as there is room for; of one that is too long its words."""
+    if len(text) <= width:
+        return text
+    ends = [found.start() for found in re.finditer(r"[;:.](?=\s)", text)]
+    end = max((end for end in ends if end <= width), default=0)
+    return text[:end] if end else textwrap.shorten(text, max(width, 1), placeholder=" …")
+
+
 # ---- of points -----------------------------------------------------------------------------------
 
 
@@ -127,14 +140,19 @@ def count_text(count: int, what: str = "point") -> str:
 
 def describe_cell(session: OperatorSession) -> str:
     """The state of the selected pair in a few words."""
+    return ", ".join(facts_of_cell(session))
+
+
+def facts_of_cell(session: OperatorSession) -> list[str]:
+    """The same, each fact alone, the most important first."""
     cell = session.cell(session.pair) if session.pair else None
     if cell is None and session.pair is not None and session.fleet is not None:
         joined = are_joined(components_of(session.fleet), *session.pair)
-        return "known only through others" if joined else "never tried"
+        return ["known only through others" if joined else "never tried"]
     if cell is None or cell.state == "untried":
-        return "never tried"
+        return ["never tried"]
     if cell.state == "through_others":
-        return "known only through others"
+        return ["known only through others"]
     words = [doubt_text(cell.verdict, cell.p_grave, cell.rivals)]
     if cell.rmse_m and cell.verdict != "rejected":
         words += [
@@ -143,7 +161,7 @@ def describe_cell(session: OperatorSession) -> str:
         ]
     if session.alignment is not None:
         words.extend(plain(reason) for reason in session.alignment.reasons[:1])
-    return ", ".join(words)
+    return words
 
 
 def answer_of(session: OperatorSession) -> Answer | None:

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Mapping
-from functools import partial
 
 from textual.app import App, ComposeResult
 from textual.driver import Driver
@@ -218,10 +217,10 @@ class FleetApp(App[None]):
         page, desk.page = desk.page, ""
         match page:
             case "help":
-                self.push_screen(Page("keys and signs", lambda: help_text(self.keymap)))
+                self.push_screen(Page("keys and signs", lambda _: help_text(self.keymap)))
             case "events":
-                text = partial(events_text, self.session)
-                self.push_screen(Page("events, the newest first", text))
+                told = Page("events, the newest first", lambda _: events_text(self.session))
+                self.push_screen(told)
             case "why":
                 pages = WhyPages(self.session, desk.about)
                 self.push_screen(Page("why is it located, or not", pages.text, pages.step))

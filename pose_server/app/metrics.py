@@ -34,7 +34,9 @@ class Metrics:
                 int(port), host or DEFAULT_HOST, registry
             )
         except (OSError, OverflowError) as error:
-            raise FleetPoseError(f"--metrics {where}: {error}") from error
+            raise FleetPoseError(
+                f"--metrics {where}: {getattr(error, 'strerror', None) or error}"
+            ) from error
 
     def show(self, status: ServerStatus, robots: int, located: int) -> None:
         """Takes the newest status, and how many robots are known and located."""

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fleetpose.protocol.commands import examples
+
 if TYPE_CHECKING:
     import threading
     from collections.abc import Callable
@@ -18,7 +20,7 @@ app = typer.Typer()
 DEFAULT_CONNECT = ["tcp/127.0.0.1:7447"]
 
 
-@app.command()
+@app.command(epilog=examples("pose-server record --out walk.mcap --seconds 600"))
 def record(
     out: Annotated[Path, typer.Option(help="The recording, an MCAP file; it must not exist.")],
     seconds: Annotated[
@@ -65,7 +67,9 @@ def record(
     print(f"{recorder.recorder.report()}: {ended}; {ended.cost}")
 
 
-@app.command()
+@app.command(
+    epilog=examples("pose-server show walk.mcap --rrd walk.rrd", "pose-server show --live")
+)
 def show(
     file: Annotated[
         Path | None,

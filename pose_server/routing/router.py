@@ -36,10 +36,10 @@ def route(listen: tuple[str, ...], config: Path | None) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     identity = None if config is None else identity_in(config, ("router",))
-    print(f"router on {config or ', '.join(listen)}", flush=True)
     counts, systemd = DenialCounts(), Supervisor()
     with ZenohLog(counts.read):
         link = Link(open_session(SessionSettings(listen=listen, config_file=config)))
+        log.info("router at %s", config or ", ".join(listen))
         systemd.ready()
         tell = (lambda: None) if identity is None else _teller(link, identity, counts)
         try:

@@ -14,7 +14,7 @@ from typing import Self
 import zenoh
 
 from fleetpose.pose_server.routing.denials import MODULE
-from fleetpose.protocol.text import one_line
+from fleetpose.protocol.text import one_line, without_source
 
 log = logging.getLogger("zenoh")
 
@@ -83,4 +83,4 @@ class ZenohLog:
         self._passed_on, self._passed_s = min(self._passed_on + more, _MOST_PASSED_ON_S), now_s
         if self._passed_on >= 1.0:
             self._passed_on -= 1.0
-            log.warning("%s", one_line(_HEAD.sub("", line), 500))
+            log.warning("%s", one_line(without_source(_HEAD.sub("", line)), 500))

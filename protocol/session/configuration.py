@@ -3,7 +3,6 @@ wrote, checked before anything is opened.
 """
 
 import json
-import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -15,7 +14,7 @@ import zenoh
 from fleetpose.protocol.errors import EndpointError
 from fleetpose.protocol.keys import checked_endpoint
 from fleetpose.protocol.session.probe import why_refused
-from fleetpose.protocol.text import one_line
+from fleetpose.protocol.text import one_line, without_source
 
 OPEN_TIMEOUT_MS = 1500  # for one endpoint: the first of two may swallow packets
 _ZENOH_OPEN_TIMEOUT_MS = 10_000  # what zenoh has where a file says nothing
@@ -47,8 +46,8 @@ class Configuration:
         return self.mode == "client"
 
     def why_unreachable(self) -> str:
-        """What is wrong with the links to its routers, where that can be found out: TLS only. It
-        may take some seconds; all are asked at once.
+        """What is wrong with the links to its routers, where that can be found out: by TCP and TLS.
+        It may take some seconds; all are asked at once.
         """
         if not self.endpoints:
             return ""
@@ -139,8 +138,3 @@ def _check_readable(file: Path, what: str) -> None:
 
 def _set(config: zenoh.Config, key: str, value: Any) -> None:
     config.insert_json5(key, json.dumps(value))
-
-
-def without_source(said: str) -> str:
-    """What zenoh said, without where in its own source."""
-    return re.sub(r" at /\S+:\d+\.?", "", said)

@@ -2,6 +2,7 @@
 connected as soon as any of its routers is there.
 """
 
+import errno
 import logging
 import threading
 import time
@@ -13,7 +14,8 @@ import zenoh
 
 from fleetpose.protocol.errors import EndedError, EndpointError, UnreachableError
 from fleetpose.protocol.session import configuration
-from fleetpose.protocol.session.configuration import Configuration, without_source
+from fleetpose.protocol.session.configuration import Configuration
+from fleetpose.protocol.text import without_source
 
 log = logging.getLogger(__name__)
 
@@ -72,7 +74,16 @@ def open_session(settings: SessionSettings) -> zenoh.Session:
     try:
         return zenoh.open(config.zenoh)
     except zenoh.ZError as error:
-        raise EndpointError(f"no router can be at {where}: {without_source(str(error))}") from error
+        raise EndpointError(f"no router can be at {where}: {_why_not_there(error)}") from error
+
+
+def _why_not_there(error: zenoh.ZError) -> str:
+    said = without_source(str(error))
+    if f"os error {errno.EADDRINUSE})" in said:
+        return "the address is in use by another program: end it, or take another port"
+    if f"os error {errno.EADDRNOTAVAIL})" in said:
+        return "this machine has no such address"
+    return said
 
 
 def _connected(config: Configuration, settings: SessionSettings) -> zenoh.Session:

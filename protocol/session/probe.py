@@ -1,5 +1,5 @@
-"""Why a TLS link to a router does not come about, in words. zenoh says no more than "Timeout"; the
-handshake itself, and the router's alert, tell the cause.
+"""Why a link to a router does not come about, in words. zenoh says no more than "Timeout" or
+"unable"; a connection, the handshake of TLS, and the router's alert, tell the cause.
 """
 
 import json
@@ -54,12 +54,19 @@ class Probed:
 
 
 def why_refused(endpoint: str, tls: Mapping[str, str | None]) -> str:
-    """What is wrong with a link to a router; empty where nothing is found, or it is no TLS.
+    """What is wrong with a link to a router that zenoh could not open; empty where nothing is
+    found, or it is neither TCP nor TLS.
 
     Args:
         endpoint: e.g. `tls/router.internal:7447`.
         tls: zenoh's `transport/link/tls`.
     """
+    if endpoint.startswith("tcp/"):
+        connected = _connected(endpoint)
+        if isinstance(connected, str):
+            return connected
+        connected.close()
+        return "what listens there is no zenoh router, or one that wants TLS (--config)"
     return probe(endpoint, tls, time.time()).error
 
 
@@ -72,23 +79,35 @@ def probe(endpoint: str, tls: Mapping[str, str | None], now_s: float) -> Probed:
         tls: zenoh's `transport/link/tls`.
         now_s: seconds since 1970 by this machine's clock.
     """
-    protocol, _, address = endpoint.partition("/")
-    host, _, port = address.partition("?")[0].rpartition(":")
-    if protocol != "tls" or not port.isdigit():
+    if not endpoint.startswith("tls/"):
         return Probed()
-    host = host.strip("[]")
+    connected = _connected(endpoint)
+    if isinstance(connected, str):
+        return Probed(connected)
+    with connected:
+        return _shaken(connected, _address(endpoint)[0], tls, now_s)
+
+
+def _address(endpoint: str) -> tuple[str, str]:
+    host, _, port = endpoint.partition("/")[2].partition("?")[0].rpartition(":")
+    return host.strip("[]"), port
+
+
+def _connected(endpoint: str) -> socket.socket | str:
+    """A connection to where a router should be, or why there is none."""
+    host, port = _address(endpoint)
+    if not port.isdecimal():
+        return "it names no port"
     try:
-        plain = socket.create_connection((host, int(port)), CONNECT_S)
+        return socket.create_connection((host, int(port)), CONNECT_S)
     except socket.gaierror:
-        return Probed(f"there is no host '{host}': name it in DNS or in /etc/hosts")
+        return f"there is no host '{host}': name it in DNS or in /etc/hosts"
     except ConnectionRefusedError:
-        return Probed("nothing listens there: is the router running?")
+        return "nothing listens there: is the router running?"
     except TimeoutError:
-        return Probed(f"it does not answer in {CONNECT_S:.0f} s: no route, or a firewall")
+        return f"it does not answer in {CONNECT_S:.0f} s: no route, or a firewall"
     except OSError as error:
-        return Probed(f"it is not reached ({error.strerror}): is the network up?")
-    with plain:
-        return _shaken(plain, host, tls, now_s)
+        return f"it is not reached ({error.strerror}): is the network up?"
 
 
 def _shaken(plain: socket.socket, host: str, tls: Mapping[str, str | None], now_s: float) -> Probed:

@@ -200,6 +200,10 @@ def test_the_report_shows_unsolved_pairs_and_needs_nothing_beside_it(tmp_path, r
     assert "http" not in re.sub(r'base64,[^"]*', "", text)
     assert text.count("<figure>") == 1
     assert "&lt;b&gt;no start&lt;/b&gt;" in text
+    assert "<td>100.0 %</td>" in text
+    raw = [one for one in re.findall(r"<t[dh]>([^<]*)", text) if "_" in one]
+    assert not raw, "names of summary.json"
+    assert text.count("<table>") == text.count("<div class=wide><table>"), "none is too wide"
     for name in ("recall_over_angle", "precision_recall", "position_error", "nees"):
         assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 

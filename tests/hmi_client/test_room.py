@@ -1,13 +1,17 @@
 """Whatever the size and the theme: nothing fails, and what is written can be read."""
 
+import re
+
 import pytest
 from hmi_fakes import fleet
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from screen_makers import press, screen, selected, text
 
+from fleetpose.hmi_client.cli.reports import table
 from fleetpose.hmi_client.desk.advice import Action, Step
 from fleetpose.hmi_client.desk.colours import ROLES, WRITTEN, contrast
+from fleetpose.hmi_client.desk.words import plain, shortened
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.tui.panels.status_panel import do_lines, fitting
 
@@ -65,6 +69,40 @@ async def test_below_120_columns_a_pair_that_is_answered_has_all_of_the_screen(s
         assert app.focused is app.matrix and app.matrix.size.width > 0
         await press(pilot, "4", "m")
         assert (app.map.size.width > 0) == alone
+
+
+@pytest.mark.parametrize("columns", [80, 100, 160])
+async def test_nothing_that_is_written_is_cut(session, columns):
+    async with screen(session, (columns, 24)) as (app, pilot):
+        with session._changed:
+            session._say("the link of r4 is slow: a view takes long; give it another one")
+        await press(pilot, "2")
+        assert len(str(app.matrix.border_title)) <= app.matrix.size.width
+        origin = re.sub("[\u2800-\u28ff]", "", text(app.map).splitlines()[0]).strip()
+        assert origin.endswith(("r1", " up", "camera's"))
+        last = text(app.status).splitlines()[-1]
+        assert "…" not in last and "the link of r4 is slow" in last
+
+
+def test_what_is_too_long_ends_with_a_thought_or_a_word():
+    told = "the link of r4 is slow: a view takes 2.0 s; give it a better one"
+    assert shortened(told, 100) == told
+    assert shortened(told, 50) == "the link of r4 is slow: a view takes 2.0 s"
+    assert shortened(told, 30) == "the link of r4 is slow"
+    assert shortened(told, 12) == "the link …"
+
+
+def test_a_table_that_is_too_wide_becomes_paragraphs():
+    head, rows = ("with", "verdict", "newest"), [("r3", "verified", "172 inliers " * 4)]
+    assert table(head, rows, 80).splitlines()[0].startswith("with  verdict")
+    lines = table(head, rows, 40).splitlines()
+    assert lines[0].startswith("with r3: verdict verified; newest 172")
+    assert max(map(len, lines)) <= 40
+
+
+def test_events_are_told_in_plain_words():
+    told = plain("r6 is now in component r3 (was r6-0)")
+    assert told == "r6 is now in the group of r3"
 
 
 def test_a_long_step_takes_two_lines_and_facts_are_not_cut():

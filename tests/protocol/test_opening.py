@@ -132,6 +132,25 @@ def test_an_address_that_is_taken_is_no_missing_router():
             open_session(SessionSettings(listen=(endpoint,)))
 
 
+@pytest.mark.parametrize("listens", [False, True])
+def test_a_router_that_is_not_there_is_told_apart_from_another_program(listens):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        if listens:
+            other.listen()
+        endpoint = f"tcp/127.0.0.1:{other.getsockname()[1]}"
+        with pytest.raises(UnreachableError) as refused:
+            open_session(SessionSettings(connect=(endpoint,), timeout_s=0.1))
+    why = "what listens there is no zenoh router" if listens else "nothing listens there"
+    assert str(refused.value).startswith(f"no zenoh router at {endpoint}: {why}")
+    assert "/root/" not in str(refused.value)
+
+
+def test_a_host_that_is_not_known_is_named():
+    with pytest.raises(UnreachableError, match=r"there is no host 'nobody\.invalid'"):
+        open_session(SessionSettings(connect=("tcp/nobody.invalid:7447",), timeout_s=0.1))
+
+
 def test_a_certificate_that_cannot_be_read_is_named_before_anything_is_opened(tmp_path):
     file = tmp_path / "zenoh.json5"
     missing = tmp_path / "ca.pem"

@@ -25,7 +25,11 @@ def test_a_dumped_file_gives_the_same_settings_again(tmp_path):
     ("given", "says"),
     [
         ({"workers": 0}, "'workers' of the command line"),
-        ({"connect": ["10.0.0.1:7447"]}, "write PROTOCOL/ADDRESS"),
+        ({"connect": ["10.0.0.1:7447"]}, "write PROTOCOL/ADDRESS:PORT"),
+        ({"connect": ["10.0.0.1"]}, "e.g. tcp/10.0.0.1:7447"),
+        ({"connect": ["tcp/10.0.0.1"]}, "it needs a port .* e.g. tcp/10.0.0.1:7447"),
+        ({"connect": ["tcp/10.0.0.1:74470"]}, "it needs a port from 1 to 65535"),
+        ({"connect": ["tpc/10.0.0.1:7447"]}, "'tpc' is no protocol"),
         ({"anchor": "R1"}, "'R1' is no name"),
         ({"icp": "magic"}, "'icp'"),
     ],
@@ -71,10 +75,10 @@ def test_variables_are_read_and_those_that_mean_nothing_are_named(monkeypatch):
     ("program", "arguments", "says"),
     [
         ("pose_server", ("run", "--workers", "0"), "'workers'"),
-        ("pose_server", ("run", "--connect", "127.0.0.1:7447"), "write PROTOCOL/ADDRESS"),
+        ("pose_server", ("run", "--connect", "127.0.0.1:7447"), "write PROTOCOL/ADDRESS:PORT"),
         ("pose_server", ("run", "--config", "nowhere.json5"), "nowhere.json5"),
         ("robot_agent", ("run", "--name", "R 1", "--camera", "rgbd"), "'name'"),
-        ("hmi_client", ("status", "--connect", "127.0.0.1:7447"), "write PROTOCOL/ADDRESS"),
+        ("hmi_client", ("status", "--connect", "127.0.0.1:7447"), "write PROTOCOL/ADDRESS:PORT"),
         ("hmi_client", ("status", "--config", "nowhere.json5"), "nowhere.json5"),
     ],
 )

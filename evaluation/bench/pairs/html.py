@@ -14,6 +14,7 @@ from fleetpose.evaluation.bench.pairs.calls import (
 )
 from fleetpose.evaluation.bench.pairs.pictures import side_by_side
 from fleetpose.evaluation.bench.pairs.row import PairRow
+from fleetpose.evaluation.bench.pairs.words import binned, listed, named_shares, tabled
 from fleetpose.evaluation.data.recording import Recording
 from fleetpose.evaluation.report.output import cell, scalars
 
@@ -21,8 +22,11 @@ _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 1000px; color: #222 }
 table { border-collapse: collapse; margin: .6em 0 1.4em; font-size: 13px }
 td, th { padding: .2em .7em; border-bottom: 1px solid #ddd; text-align: right }
+td { white-space: nowrap }
 td:first-child, th:first-child { text-align: left }
-.plots img { width: 480px }
+th { vertical-align: bottom; font-weight: 600; max-width: 9em }
+.wide { overflow-x: auto }
+.plots img { width: 480px; max-width: 100% }
 figure { margin: 1.2em 0 } figure img { max-width: 100% }
 figcaption, .note { font-size: 13px; color: #555 }
 .grave { color: #b00; font-weight: bold }
@@ -43,7 +47,7 @@ def write_html(
         f"<h1>{escape(title)}</h1>",
         *_shares(summary),
         "<h2>Numbers</h2>",
-        _table(("", ""), scalars(summary)),
+        _table(("", ""), listed(scalars(summary))),
         "<h2>Plots</h2><div class=plots>",
         *(_image(file.read_bytes(), "png", name) for name, file in plots.items()),
         "</div>",
@@ -61,25 +65,16 @@ def write_html(
 def _shares(summary: Mapping[str, Any]) -> Iterable[str]:
     yield "<h2>Shares</h2>"
     yield (
-        "<p class=note>Of all pairs in question, answered or not. Low and high: 95 % of bootstrap "
+        "<p class=note>Of all pairs in question, answered or not. From, to: 95 % of bootstrap "
         "draws over views lie between; pairs of one view are not independent. All or none of the "
         "pairs gives no width, however few they are.</p>"
     )
-    columns = ("share", "low", "high", "pairs")
-    shares = [(name, *(one[c] for c in columns)) for name, one in summary["shares"].items()]
-    yield _table(("", *columns), shares)
+    yield _table(*named_shares(summary["shares"]))
     if summary["success_overlap"]:
         yield "<h3>By overlap: answered and not gravely wrong</h3>"
-        yield _bins("overlap", summary["success_overlap"])
+        yield _table(*binned("overlap", summary["success_overlap"], True))
     yield "<h3>By angle</h3>"
-    yield _bins("degrees", summary["by_angle"])
-
-
-def _bins(what: str, bins: Sequence[Mapping[str, Any]]) -> str:
-    """A table of bins, whose first two values are their bounds."""
-    rows = [tuple(one.values()) for one in bins]
-    columns = (what, *list(bins[0])[2:])
-    return _table(columns, [(f"{low:g}-{high:g}", *rest) for low, high, *rest in rows])
+    yield _table(*binned("angle", summary["by_angle"], False))
 
 
 def _calls(calls: Mapping[str, Sequence[Mapping[str, Any]]]) -> Iterable[str]:
@@ -89,7 +84,7 @@ def _calls(calls: Mapping[str, Sequence[Mapping[str, Any]]]) -> Iterable[str]:
         ("Gravely wrong, with the most support", calls["grave_most_support"]),
     ):
         yield f"<h3>{title}</h3>"
-        yield _table(list(some[0]), [list(call.values()) for call in some]) if some else "<p>None."
+        yield _table(*tabled(some)) if some else "<p>None."
 
 
 def _unsolved(recording: Recording, rows: Sequence[PairRow]) -> Iterable[str]:
@@ -132,4 +127,4 @@ def _table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
         "<tr>" + "".join(f"<td>{escape(cell(value))}</td>" for value in row) + "</tr>"
         for row in rows
     )
-    return f"<table><tr>{head}</tr>\n" + "\n".join(body) + "</table>"
+    return f"<div class=wide><table><tr>{head}</tr>\n" + "\n".join(body) + "</table></div>"

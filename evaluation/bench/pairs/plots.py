@@ -44,7 +44,7 @@ def plot_all(out: Path, rows: Sequence[PairRow], median_depth_m: float) -> dict[
 
 
 def plot_recall(path: Path, rows: Sequence[PairRow], field: str, step: float, label: str) -> None:
-    """Shares over a property of the pairs, with bootstrap intervals and the number of pairs."""
+    """Shares over a property of the pairs, with bootstrap intervals; above them how many pairs."""
     bins: dict[int, list[PairRow]] = {}
     for row in rows:
         if (value := getattr(row, field)) is not None:
@@ -55,7 +55,7 @@ def plot_recall(path: Path, rows: Sequence[PairRow], field: str, step: float, la
         ("not gravely wrong", 0.0, lambda row: row.T_i_j is not None and not row.grave),
         ("verified and right", 0.1, lambda row: row.ok and row.verdict == "verified"),
     )
-    with plot(path, grid=True, xlabel=label, ylabel="share of the pairs", ylim=(0, 1.05)) as axes:
+    with plot(path, grid=True, xlabel=label, ylabel="share of the pairs", ylim=(0, 1.13)) as axes:
         for name, shift, flag in flags:
             found = [share_of(bins[b], [flag(row) for row in bins[b]]) for b in places]
             values = np.array([(s.share, s.low, s.high) for s in found], float).reshape(-1, 3)
@@ -63,7 +63,7 @@ def plot_recall(path: Path, rows: Sequence[PairRow], field: str, step: float, la
             x = (np.array(places) + 0.5 + shift) * step
             axes.errorbar(x, values[:, 0], spread, marker="o", capsize=3, label=name)
         for b in places:
-            axes.annotate(str(len(bins[b])), ((b + 0.5) * step, 0.01), fontsize=7, ha="center")
+            axes.annotate(str(len(bins[b])), ((b + 0.5) * step, 1.08), fontsize=7, ha="center")
 
 
 def plot_precision_recall(path: Path, rows: Sequence[PairRow]) -> None:
@@ -83,10 +83,10 @@ def plot_precision_recall(path: Path, rows: Sequence[PairRow]) -> None:
         if answered:
             axes.plot(*precision_recall(by_sigma, ok), label="by verdict, then stated sigma")
             recall, precision = precision_recall([(r,) for r in rank], ok)
-            axes.plot(recall, precision, "o", label="verdicts")
             given = [v for v in VERDICTS if any(row.verdict == v for row in answered)]
             for name, x, y in zip(given, recall, precision, strict=True):
-                axes.annotate(f" {name} or better", (x, y), fontsize=8, va="top", ha="right")
+                told = f"{name} or better: {100 * y:.1f} % right"
+                axes.plot([x], [y], "o", label=told)
 
 
 def plot_nees(path: Path, rows: Sequence[PairRow]) -> None:

@@ -12,6 +12,7 @@ from fleetpose.evaluation.bench.pairs.calls import closest_calls
 from fleetpose.evaluation.bench.pairs.html import write_html
 from fleetpose.evaluation.bench.pairs.plots import plot_all
 from fleetpose.evaluation.bench.pairs.row import PairRow, share_of, verified_nees
+from fleetpose.evaluation.bench.pairs.words import binned, listed, named_shares
 from fleetpose.evaluation.data.recording import Recording
 from fleetpose.evaluation.data.splits import split_of
 from fleetpose.evaluation.metrics.reliability import expected_calibration_error
@@ -187,20 +188,10 @@ def _recall(rows: Sequence[PairRow]) -> dict[str, Any]:
 
 def _print(summary: dict[str, Any], rgbd: bool) -> None:
     what = "overlap" if rgbd else "angle"
-    bins = [list(b.items()) for b in summary[f"by_{what}"]]
-    columns = [name for name, _ in bins[0][2:]]
-    rows = [(f"{b[0][1]}-{b[1][1]}", *(value for _, value in b[2:])) for b in bins]
-    output.print_table(f"pairs by {what}", ("", *columns), rows)
-    output.print_table("summary", ("", ""), output.scalars(summary))
-    names = ("share", "low", "high", "pairs")
-    output.print_table(
-        "shares, 95 % of bootstrap draws over views",
-        ("", *names),
-        [
-            *((name, *(one[n] for n in names)) for name, one in summary["shares"].items()),
-            *(
-                (f"success at overlap {one['from']}-{one['to']}", *(one[n] for n in names))
-                for one in summary["success_overlap"] or ()
-            ),
-        ],
-    )
+    output.print_table(f"pairs by {what}", *binned(what, summary[f"by_{what}"], rgbd))
+    output.print_table("summary", ("", ""), listed(output.scalars(summary)))
+    title = "shares, 95 % of bootstrap draws over views"
+    output.print_table(title, *named_shares(summary["shares"]))
+    if summary["success_overlap"]:
+        title = "answered and not gravely wrong"
+        output.print_table(title, *binned("overlap", summary["success_overlap"], True))

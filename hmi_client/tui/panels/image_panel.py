@@ -185,7 +185,8 @@ class ImagePanel(Panel):
     def _titles(self) -> None:
         frozen = "  FROZEN" if self.session.frozen else ""
         keeping = self.session.keeping(self._robot) if self._robot else ""
-        self.title(f"{self._robot or 'no robot'}{frozen}{keeping and '  ' + keeping}")
+        kept = {"": "", "pinned": "  held by the server", "not kept": "  not kept"}[keeping]
+        self.title(f"{self._robot or 'no robot'}{frozen}{kept}")
 
     def _about(self, columns: int) -> Strip:
         """The last line: where the cursor is and in which view. A border's text would do, but

@@ -7,7 +7,8 @@ from textual.strip import Strip
 
 from fleetpose.hmi_client.desk.colours import marker_colour
 from fleetpose.hmi_client.desk.desk import Desk
-from fleetpose.hmi_client.desk.words import STATUS_WORDS, quality
+from fleetpose.hmi_client.desk.words import STATUS_WORDS, quality, shortened
+from fleetpose.hmi_client.model.matrix import length_text
 from fleetpose.hmi_client.model.records import Entry
 from fleetpose.hmi_client.tui import bindings
 from fleetpose.hmi_client.tui.drawing.palette import style
@@ -67,7 +68,7 @@ class ListPanel(Panel):
         segments = [
             Segment(f"{number:>2} ", style("#000000", colour, True)),
             Segment(f" {STATUS_WORDS[entry.status]:<12} ", paint(STATUS_COLOURS[entry.status])),
-            Segment(quality(entry), paint("text")),
+            Segment(fitted(entry, columns - 17), paint("text")),
         ]
         if columns > 46:
             segments.append(Segment(pixels(entry), paint("dim")))
@@ -95,6 +96,16 @@ class ListPanel(Panel):
             self.at = max(0, min(self.at - rows // 2, count - rows)) + offset.y
             self.action_arrow(0, 0)
             self.action_do("show")
+
+
+def fitted(entry: Entry, room: int) -> str:
+    """Residuals or reason, as much as there is room for: a number is never cut."""
+    text = quality(entry)
+    if len(text) <= room:
+        return text
+    if entry.note or entry.residual_m is None:
+        return shortened(text.strip(), room)
+    return length_text(entry.residual_m).rjust(min(room, 8))
 
 
 def pixels(entry: Entry) -> str:

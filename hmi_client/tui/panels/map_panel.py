@@ -203,6 +203,8 @@ class MapPanel(Panel):
                 0, bottom - 2, f"separate: {words}"[: canvas.columns], style("apart", bold=True)
             )
         if fleet is not None:
-            up = ", up is the camera's" if fleet.up_assumed else ", z up"
-            text = f"origin {fleet.anchor or 'none'}{up}"
+            origin = f"origin {fleet.anchor or 'none'}"
+            ups = (", up is the camera's", ", camera's up") if fleet.up_assumed else (", z up",)
+            fits = (up for up in ups if len(origin + up) <= canvas.columns)
+            text = origin + next(fits, "")
             canvas.text(0, 0, text[: canvas.columns], style("dim"))

@@ -1,5 +1,7 @@
 """The middle panel: the symmetric error matrix. Every cell can be selected, hidden or not."""
 
+import re
+
 from rich.segment import Segment
 from rich.style import Style
 from textual import events
@@ -99,7 +101,9 @@ class MatrixPanel(  # pyright: ignore[reportIncompatibleMethodOverride] - Textua
             self.call_after_refresh(self.repaint)  # only then can it scroll that far
         else:
             self._follow_selection()
-        self.title(title_of(self.desk.quantity, self._matrix.unit))
+        title = title_of(self.desk.quantity, self._matrix.unit)
+        short = self.extent.width < len(title) + 2  # where the border would cut it
+        self.title(re.sub(r" \(.*?\)", "", title) if short else title)
         errors = self.desk.quantity in ("rms", "regression")
         self.subtitle(
             f"- above {length_text(threshold_m)}" if errors else "t shows another quantity"

@@ -10,7 +10,7 @@ from textual.widgets import Static
 
 from fleetpose.hmi_client.cli.why import why_record, why_text
 from fleetpose.hmi_client.desk.keymap import PLACES, KeyMap, of_place, printed
-from fleetpose.hmi_client.desk.words import age_text, signs
+from fleetpose.hmi_client.desk.words import age_text, plain, signs
 from fleetpose.hmi_client.model.session import OperatorSession
 
 RENEWED_S = 0.5
@@ -21,7 +21,7 @@ class Page(ModalScreen[None]):
 
     Args:
         heading: its title.
-        text: makes it.
+        text: makes it, for so many columns.
         step: called with -1 and 1 by left and right, for a page that has neighbours.
     """
 
@@ -32,7 +32,7 @@ class Page(ModalScreen[None]):
     ]
 
     def __init__(
-        self, heading: str, text: Callable[[], str], step: Callable[[int], None] | None = None
+        self, heading: str, text: Callable[[int], str], step: Callable[[int], None] | None = None
     ) -> None:
         super().__init__()
         self._heading, self._text, self._step = heading, text, step
@@ -45,12 +45,12 @@ class Page(ModalScreen[None]):
             yield self._body
 
     def on_mount(self) -> None:
-        self.renew()
+        self.call_after_refresh(self.renew)  # once it is known how wide the page is
         self.set_interval(RENEWED_S, self.renew)
 
     def renew(self) -> None:
         """Shows what is true now."""
-        self._body.update(self._text())
+        self._body.update(self._text(self._body.size.width or self.app.size.width))
 
     def action_step(self, step: int) -> None:
         if self._step is not None:
@@ -72,7 +72,7 @@ def help_text(keymap: KeyMap) -> str:
 
 def events_text(session: OperatorSession) -> str:
     """What happened, the newest first."""
-    told = [f"{age_text(age_s):>9}  {text}" for age_s, text in session.timed_events()]
+    told = [f"{age_text(age_s):>9}  {plain(text)}" for age_s, text in session.timed_events()]
     return "\n".join(told) or "nothing has happened yet"
 
 
@@ -87,10 +87,10 @@ class WhyPages:
     def __init__(self, session: OperatorSession, robot: str) -> None:
         self._session, self._robot = session, robot
 
-    def text(self) -> str:
+    def text(self, columns: int) -> str:
         """Of the present robot."""
         known = self._session.alignments(self._robot)
-        return why_text(why_record(self._session, self._robot, known))
+        return why_text(why_record(self._session, self._robot, known), columns)
 
     def step(self, step: int) -> None:
         """Turns to another robot."""

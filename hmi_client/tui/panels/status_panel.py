@@ -7,7 +7,7 @@ from textual.strip import Strip
 
 from fleetpose.hmi_client.desk.advice import Step, Tone, step
 from fleetpose.hmi_client.desk.desk import Desk
-from fleetpose.hmi_client.desk.words import confirmation
+from fleetpose.hmi_client.desk.words import confirmation, plain, shortened
 from fleetpose.hmi_client.tui.drawing.palette import style
 from fleetpose.hmi_client.tui.panels.panel import PanelMixin, line
 
@@ -42,7 +42,8 @@ class StatusPanel(PanelMixin):
         session, dropped = self.session, self.session.drops.total()
         confirmed = f"dropped {dropped}  " if dropped else ""
         confirmed += confirmation(session) + " "
-        event = (session.events[-1] if session.events else "")[: max(width - len(confirmed) - 2, 0)]
+        event = plain(session.events[-1]) if session.events else ""
+        event = shortened(event, width - len(confirmed) - 2)
         tone = style("waiting", bold=True) if session.unconfirmed else style("dim")
         last = Strip(
             [
@@ -68,4 +69,4 @@ def fitting(facts: Sequence[str], width: int) -> str:
         if text and len(longer) > width:
             break
         text = longer
-    return text
+    return shortened(text, width)
