@@ -1,0 +1,120 @@
+"""Measuring within a page, by scripts that are put into it: when an effect is on the screen.
+
+A marker is drawn on a canvas; so calls of its context are looked at, and the effect counts as shown
+at the frame after the one in which it was drawn. Times count from the event's own time stamp, which
+the browser gives it before any script runs.
+"""
+
+from typing import Any
+
+from fleetpose.evaluation.system.web.browser import became
+
+SETUP = """async () => {
+    if (window.probe) return;
+    const { state } = await import('/static/link/store.js');
+    const probe = (window.probe = { armed: null, gaps: [[], []] });
+    const drawn = (context, kind, args) => {
+        const armed = probe.armed;
+        if (!armed || armed.drawn || !armed.at || context.canvas !== armed.canvas) return;
+        if (!armed.fits(kind, args)) return;
+        armed.drawn = true;
+        requestAnimationFrame(() => {
+            armed.shown_ms = performance.now() - armed.at;
+        });
+    };
+    for (const kind of ['fillText', 'drawImage']) {
+        const own = CanvasRenderingContext2D.prototype[kind];
+        CanvasRenderingContext2D.prototype[kind] = function (...args) {
+            drawn(this, kind, args);
+            if (kind === 'drawImage') this.canvas.lastDrawn = [args[1], args[2]];
+            return own.apply(this, args);
+        };
+    }
+    const begins = (event) => {
+        const armed = probe.armed;
+        if (armed && !armed.at && event.type === armed.event) armed.at = event.timeStamp;
+    };
+    for (const type of ['pointerup', 'keydown']) window.addEventListener(type, begins, true);
+    const canvasOf = (side, kind) =>
+        document.querySelector(`[data-panel=${side ? 'right' : 'left'}] canvas.${kind}`);
+    const nextNumber = () => {
+        const half = state.list.points.find((p) => p.status === 'half');
+        return half ? half.n : 1 + Math.max(0, ...state.list.points.map((p) => p.n));
+    };
+    const MARK = (text) => (kind, args) => kind === 'fillText' && args[0] === text;
+    const MOVE = (before) => (kind, args) =>
+        kind === 'drawImage' && (args[1] !== before[0] || args[2] !== before[1]);
+    probe.arm = (what, event, side) => {
+        const canvas = canvasOf(side, 'loupe');
+        const fits = what === 'mark' ? MARK(`${nextNumber()}`) : MOVE(canvas.lastDrawn ?? [0, 0]);
+        const armed = (probe.armed = { canvas, event, fits, side });
+        if (what !== 'mark') return;
+        const confirmed = () => {
+            if (probe.armed !== armed) return;
+            const key = side ? 'pj' : 'pi';
+            const [u, v] = (armed.at && state.cursors[side]) ?? [NaN, NaN];
+            armed.pixel ??= armed.at && armed.drawn ? [u, v] : null;
+            const [pu, pv] = armed.pixel ?? [NaN, NaN];
+            const found = state.list.points.find(
+                (p) => p[key] && Math.hypot(p[key][0] - pu, p[key][1] - pv) < 0.01);
+            if (found && !['half', 'pending'].includes(found.status)) {
+                requestAnimationFrame(() => {
+                    armed.confirmed_ms = performance.now() - armed.at;
+                });
+            } else requestAnimationFrame(confirmed);
+        };
+        requestAnimationFrame(confirmed);
+    };
+    const seen = [null, null];
+    const look = (now) => {
+        for (const side of [0, 1]) {
+            const view = state.images[side]?.view ?? null;
+            if (view === null || view === seen[side]?.view) continue;
+            if (seen[side]) probe.gaps[side].push(now - seen[side].now);
+            seen[side] = { view, now };
+        }
+        requestAnimationFrame(look);
+    };
+    requestAnimationFrame(look);
+}"""
+_ARM = "([what, event, side]) => window.probe.arm(what, event, side)"
+_DONE = "(name) => window.probe.armed?.[name] !== undefined"
+
+
+class Probe:
+    """Times in a page, from an event to its effect on the screen."""
+
+    def __init__(self, page: Any) -> None:
+        self._page = page
+        page.evaluate(SETUP)
+
+    def arm(self, what: str, event: str, side: int) -> None:
+        """Awaits the next event and its effect.
+
+        Args:
+            what: `mark`, the number of a new point in the loupe, or `move`, another place in it.
+            event: `pointerup` or `keydown`.
+            side: of the loupe.
+        """
+        self._page.evaluate(_ARM, [what, event, side])
+
+    def shown_ms(self, timeout_s: float = 3.0) -> float | None:
+        """How long it took until the effect was shown; None if it was not."""
+        return self._read("shown_ms", timeout_s)
+
+    def confirmed_ms(self, timeout_s: float = 10.0) -> float | None:
+        """How long it took until the point was shown as confirmed; None if it was not."""
+        return self._read("confirmed_ms", timeout_s)
+
+    def gaps_s(self) -> list[float]:
+        """The times between two images of a side since the last call."""
+        gaps = self._page.evaluate(
+            "() => { const [a, b] = window.probe.gaps; window.probe.gaps = [[], []];"
+            " return [...a, ...b]; }"
+        )
+        return [gap / 1000 for gap in gaps]
+
+    def _read(self, name: str, timeout_s: float) -> float | None:
+        if not became(self._page, _DONE, name, timeout_s):
+            return None
+        return float(self._page.evaluate("(name) => window.probe.armed[name]", name))
