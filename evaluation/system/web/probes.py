@@ -10,7 +10,7 @@ from typing import Any
 SETUP = """async () => {
     if (window.probe) return;
     const { state } = await import('/static/link/store.js');
-    const probe = (window.probe = { armed: null, gaps: [[], []] });
+    const probe = (window.probe = { armed: null, gaps: [[], []], views: [[], []] });
     const drawn = (context, kind, args) => {
         const armed = probe.armed;
         if (!armed || armed.drawn || !armed.at || context.canvas !== armed.canvas) return;
@@ -68,12 +68,18 @@ SETUP = """async () => {
             if (view === null || view === seen[side]?.view) continue;
             if (seen[side]) probe.gaps[side].push(now - seen[side].now);
             seen[side] = { view, now };
+            probe.views[side].push([view, performance.timeOrigin + now]);
         }
         requestAnimationFrame(look);
     };
     requestAnimationFrame(look);
 }"""
 _ARM = "([what, event, side]) => window.probe.arm(what, event, side)"
+_TAKE = """(name) => {
+    const taken = window.probe[name];
+    window.probe[name] = [[], []];
+    return taken;
+}"""
 _TAKEN_MS = """([name, most_ms]) => Promise.race([
     window.probe.armed[name], new Promise((late) => setTimeout(() => late(null), most_ms))])"""
 
@@ -105,11 +111,14 @@ class Probe:
 
     def gaps_s(self) -> list[float]:
         """The times between two images of a side since the last call."""
-        gaps = self._page.evaluate(
-            "() => { const [a, b] = window.probe.gaps; window.probe.gaps = [[], []];"
-            " return [...a, ...b]; }"
-        )
-        return [gap / 1000 for gap in gaps]
+        return [gap / 1000 for side in self._page.evaluate(_TAKE, "gaps") for gap in side]
+
+    def views(self) -> tuple[list[tuple[int, float]], list[tuple[int, float]]]:
+        """Of each side: the numbers of the images that were shown since the last call, and when, in
+        ms of the machine's clock.
+        """
+        left, right = self._page.evaluate(_TAKE, "views")
+        return [tuple(one) for one in left], [tuple(one) for one in right]
 
     def _read(self, name: str, timeout_s: float) -> float | None:
         return self._page.evaluate(_TAKEN_MS, [name, 1000 * timeout_s])
