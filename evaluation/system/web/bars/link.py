@@ -3,6 +3,7 @@
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from fleetpose.evaluation.metrics.scoring import percentile
@@ -85,7 +86,7 @@ def ages_s(shown: Sequence[tuple[int, float]], drawn: Sequence[tuple[int, float]
         drawn: the same of a quick page; of an image that it left out, the one before counts.
     """
     numbers, ages = [number for number, _ in drawn], []
-    for (number, _), (_, replaced_ms) in zip(shown, shown[1:], strict=False):
+    for (number, _), (_, replaced_ms) in pairwise(shown):
         k = bisect_right(numbers, number) - 1
         if k >= 0:
             ages.append((replaced_ms - drawn[k][1]) / 1000)

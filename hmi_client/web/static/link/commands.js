@@ -51,7 +51,7 @@ function aim(id) {
   return view === undefined || id === "erase" || id === "move" ? place : { ...place, view };
 }
 
-/** A click is drawn at once, before anybody heard of it; the next list that is told replaces it. */
+/** A click is drawn at once, before anybody heard of it; the list that answers it replaces it. */
 function echo({ side, pixel }) {
   const { half, points } = state.list;
   if (half && half.side !== side) {

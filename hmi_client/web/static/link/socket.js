@@ -90,10 +90,7 @@ const HEARD = {
     state.link.ping_ms = performance.now() - m.at;
     changed("link");
   },
-  notice: (m) => {
-    put("notice", { ...m, at: performance.now() });
-    if (state.told && state.list !== state.told) put("list", state.told); // a click that was refused
-  },
+  notice: (m) => put("notice", { ...m, at: performance.now() }),
   cursor: (m) => {
     state.cursors[m.side] = m.pixel;
     changed("cursors");
