@@ -47,6 +47,7 @@ class Guest(Protocol):
     images: bool
     matrix: bool
     clouds: bool
+    drawn: list[int | None]
 
     def wake(self) -> None:
         """There is something new to be sent."""
@@ -196,6 +197,8 @@ class DeskLink:
             desk.do("cursor", side=args.get("side"), pixel=args.pop("pixel"))
         before = desk.cursor(0), desk.cursor(1)
         if heard.do == "pick":
+            side = args.get("side", desk.side)
+            args["beside"] = self.pictures.known(guest.drawn[1 - side])
             self.outlook.renew("list")  # the page has drawn it already: it is told what came of it
         desk.do(heard.do, **args)
         for side in (0, 1):
