@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from fleetpose.evaluation.system.web.bars.cost import cpu
-from fleetpose.evaluation.system.web.bars.link import link
+from fleetpose.evaluation.system.web.bars.link import slow_link
 from fleetpose.evaluation.system.web.bars.many import (
     IMAGES_HZ,
     POINTS,
@@ -18,7 +18,7 @@ from fleetpose.evaluation.system.web.rows import Row
 BARS: dict[int, Callable[[Bench], list[Row]]] = {
     1: shown_and_confirmed,
     3: cpu,
-    4: link,
+    4: slow_link,
     10: thousand_points,
     11: hour_of_images,
 }

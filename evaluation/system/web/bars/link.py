@@ -36,7 +36,7 @@ class Heard:
             self.state += len(frame)
 
 
-def link(bench: Bench) -> list[Row]:
+def slow_link(bench: Bench) -> list[Row]:
     """State by a free link, clicks and images by a slow one."""
     rows = [state(bench)]
     with SlowLink(bench.site.port, LINK_BIT_PER_S) as slow:
