@@ -8,7 +8,8 @@ import { Loupe } from "./loupe.js";
 import { marksOf, drawMarks, hairlines, nearest, tagOf, depthAt } from "./marks.js";
 
 const REACH = { mouse: 12, pen: 12, touch: 24 }; // CSS pixels around a mark
-const DRAG = 4,
+const MANY = 50,
+  DRAG = 4,
   MOST_ZOOM = 32;
 
 /** One robot's image with its loupe. */
@@ -49,10 +50,9 @@ export class ImagePanel {
       }
     });
     new ResizeObserver(() => this.divide()).observe(this.pictures);
-    watch(
-      ["images", "list", "assist", "cursors", "active", "marks", "theme", "names", "link", "tick", "mode"],
-      () => this.draw(),
-    );
+    const fleet = ["list", "assist", "names", "link", "tick"];
+    const view = ["images", `image ${side}`, "cursors", `cursor ${side}`, "active", "marks", "theme", "mode"];
+    watch([...fleet, ...view], () => this.draw());
   }
 
   /** CSS pixels per image pixel. */
@@ -134,7 +134,25 @@ export class ImagePanel {
       both = state.assist.suggestion;
     if (cursor && (both || state.active === this.side) && !state.marksHidden)
       hairlines(ctx, this.toScreen(cursor), width, height);
-    drawMarks(ctx, marksOf(this.side), this.toScreen, width);
+    this.marks(ctx, width, height);
+  }
+
+  /** Many marks are drawn once, on a sheet of their own that is laid over the image until they change. */
+  marks(ctx, width, height) {
+    const { list, assist, typed, marksHidden, theme } = state;
+    if (list.points.length < MANY) return drawMarks(ctx, marksOf(this.side), this.toScreen, width);
+    const place = [this.scale(), ...this.middle(), ctx.canvas.width, ctx.canvas.height];
+    const now = [list, assist, typed, marksHidden, theme, ...place];
+    this.sheet ??= { canvas: el("canvas"), shows: [] };
+    const { canvas, shows } = this.sheet;
+    if (now.some((value, k) => value !== shows[k])) {
+      [canvas.width, canvas.height] = [ctx.canvas.width, ctx.canvas.height];
+      const over = canvas.getContext("2d");
+      over.setTransform(ctx.getTransform());
+      drawMarks(over, marksOf(this.side), this.toScreen, width);
+      this.sheet.shows = now;
+    }
+    ctx.drawImage(canvas, 0, 0, width, height);
   }
 
   listen(canvas) {

@@ -30,7 +30,8 @@ export const state = {
   names: [],
   origin: null,
   step: null,
-  list: NO_LIST,
+  list: NO_LIST, // with clicks that the bridge has not answered yet
+  told: null, // as the bridge told it
   assist: NO_ASSIST,
   pair: null,
   questions: [],
@@ -89,6 +90,9 @@ export function put(topic, value) {
   state[topic] = value;
   changed(topic);
 }
+
+/** Whether a click was drawn of which the bridge has not told yet what came of it. */
+export const unanswered = () => state.told !== null && state.list !== state.told;
 
 export const clearList = () => ({ list: NO_LIST, assist: NO_ASSIST });
 
