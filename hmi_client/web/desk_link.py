@@ -36,7 +36,7 @@ _TOPICS: tuple[Topic, ...] = tuple(
 )
 _LIST: tuple[Topic, ...] = (
     *("correspondences", "updates", "selection", "pictures"),
-    *("depths", "others", "fleet", "alignment"),
+    *("depths", "others", "fleet", "alignment", "settings"),
 )
 
 
@@ -178,7 +178,7 @@ class DeskLink:
             elif heard.do in OF_RECORDINGS:
                 self.seat.play(heard.do, dict(heard.args))
             elif heard.do == "why":
-                robot = heard.args.get("robot") or desk.robot(0) or desk.session.robots()[:1]
+                robot = heard.args.get("robot") or desk.in_question() or desk.session.robots()[:1]
                 guest.tell(told.why(desk, str(robot if isinstance(robot, str) else robot[0])))
             else:
                 self._do_at_desk(desk, guest, heard)

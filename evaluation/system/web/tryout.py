@@ -1,11 +1,12 @@
-"""A newcomer tries the operator's page on a fleet of simulated robots: by mouse alone, by keys alone,
-and with a wrong click. The newcomer knows nothing but what the page shows, and what pixels show.
+"""A newcomer tries the operator's page on a fleet of simulated robots: by mouse alone, by keys
+alone, and with a wrong click. The newcomer knows nothing but what the page shows, and what pixels show.
 """
 
 import math
 import os
 import secrets
 import shutil
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -31,9 +32,23 @@ STARTED_S = 60.0
 SHOWN_S = 15.0  # that the newcomer waits for what a deed should show
 JOINED_S = 20.0
 SIDES = ("[data-panel=left]", "[data-panel=right]")
+COMMON = 100  # points that two images share, for a person to see that they show the same
+_SUGGESTED = "both crosses"
 LOUPE = 8.0  # CSS pixels per pixel
 PRIMARY = "#bar .primary"
 Pixel = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Hand:
+    """How somebody does what the bar proposes, says yes and no to a suggestion, and goes on to the
+    next question.
+    """
+
+    go: Callable[[], None]
+    yes: Callable[[], None]
+    no: Callable[[], None]
+    next: Callable[[], None]
 
 
 @dataclass
@@ -127,37 +142,41 @@ class Newcomer:
 
     # ---- answers ---------------------------------------------------------------------------------
 
-    def answer(
-        self, go: Callable[[], None], yes: Callable[[], None], no: Callable[[], None]
-    ) -> None:
-        """Takes the best question and its suggestions until the fleet is joined.
-
-        Args:
-            go: does what the bar proposes.
-            yes, no: to a suggestion.
+    def answer(self, hand: "Hand") -> None:
+        """Takes the best question that both images can answer, and its suggestions, until the fleet
+        is joined.
         """
-        go()
+        hand.go()
         eyes = self.look()
+        while len(eyes.uv_i) < COMMON:  # at a glance, they show different things
+            before = self.pair()
+            hand.next()
+            self.until("other pair", lambda before=before: self.pair() != before)
+            eyes = self.look()
         self.until("offer", lambda: "see the same point" in self.bar())
-        go()
-        self.until("suggestion", lambda: "same point?" in self.bar() and "both" in self.bar())
-        while not self.joined() and "both crosses" in (asked := self._asked()):
+        self.shot("question")
+        hand.go()
+        self.until("suggestion", lambda: _SUGGESTED in self.bar())
+        self.shot("suggestion")
+        while not self.joined() and _SUGGESTED in self.bar():
+            asked = self._asked()
             left, right = self.cross(0), self.cross(1)
             partner = eyes.partner(left)
             good = partner is not None and math.dist(partner, right) < GOOD_PX
             if good and all(math.dist(left, p) >= APART_PX for p in self.picked):
                 self.picked.append(left)
-                yes()
+                hand.yes()
             else:
-                no()
+                hand.no()
             self.until("next step", lambda asked=asked: self._asked() != asked or self.joined())
             if len(self.picked) >= POINTS:
                 self.page.wait_for_timeout(1500)  # a person sees what came of it
         self.until("joined fleet", self.joined, JOINED_S)
+        self.page.wait_for_timeout(1000)
         self.shot("joined")
 
     def _asked(self) -> str:
-        return f"{self.bar()} {self.page.inner_text('#bar .kick')} {self.cross(0)}"
+        return f"{self.bar()} {self.cross(0)}"
 
     def pick_by_mouse(self, left: Pixel, right: Pixel) -> None:
         """A click near, one in the loupe; the same in the other image, where that is needed."""
@@ -213,14 +232,15 @@ class _Trial:
         """Clicks from the first sight of the page to the joined fleet."""
         with self.newcomer("mouse") as who:
             go = lambda: who.click(PRIMARY)  # noqa: E731
-            who.answer(go, go, lambda: who.click("#bar .button:nth-of-type(2)"))
+            no = lambda: who.click("#bar .button:nth-of-type(2)")  # noqa: E731
+            who.answer(Hand(go, go, no, lambda: who.click("footer .hint:first-child")))
         return who.deeds
 
     def by_keys(self) -> int:
         """Keys for the same."""
         with self.newcomer("keys") as who:
-            enter, tab, back = (lambda k=k: who.press(k) for k in ("Enter", "Tab", "Shift+Tab"))
-            who.answer(enter, tab, back)
+            keys = (lambda k=k: who.press(k) for k in ("Enter", "Tab", "Shift+Tab", "n"))
+            who.answer(Hand(*keys))
         return who.deeds
 
     def with_a_wrong_click(self) -> dict[str, Any]:
@@ -286,12 +306,13 @@ def try_out(out: Path) -> dict[str, Any]:
 
     folder = output_folder(out)
     tokens = {name: secrets.token_hex(16) for name in ("mouse", "keys", "wrong")}
-    token_file = folder / "tokens"
+    scratch = Path(tempfile.mkdtemp(prefix="fleetpose-tryout-"))
+    token_file = scratch / "tokens"
     token_file.write_text("".join(f"{name}:{token}\n" for name, token in tokens.items()))
     token_file.chmod(0o600)
-    with _state_home(folder / "client"), LocalFleet(folder / "logs") as fleet:
-        plan = demo_plan(ROBOTS, folder)
-        start_demo(fleet, plan, folder)
+    with _state_home(scratch), LocalFleet(folder / "logs") as fleet:
+        plan = demo_plan(ROBOTS, scratch)
+        start_demo(fleet, plan, scratch)
         listen = f"127.0.0.1:{free_port()}"
         page = ("web", *fleet.connection, "--listen", listen, "--token-file", str(token_file))
         fleet.start("page", "fleetpose.hmi_client", *page, "--no-open")

@@ -8,6 +8,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from fleetpose.hmi_client.desk.colours import MARKER_COLOURS
+from fleetpose.hmi_client.model.matrix import QUANTITIES
+
 Frame = dict[str, Any] | bytes
 WIDTH, HEIGHT = 960, 640
 MARK = (699.5, 299.5)  # the middle of the white block of each image, in its pixels
@@ -73,7 +76,8 @@ def welcome(settings: dict[str, Any] | None = None) -> Frame:
         "version": "0",
         "replay": False,
         "keymap": keys,
-        "colours": {},
+        "colours": {"markers": list(MARKER_COLOURS)},
+        "quantities": [{"id": q, "title": q} for q in QUANTITIES],
         "settings": settings or {},
     }
 

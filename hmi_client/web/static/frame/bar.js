@@ -94,7 +94,9 @@ const kept = (text) => text.replace(/(\d) (?=(?:%|m|cm|s|px)(?:[ .,;)]|$))/g, "$
 function legs([page, server]) {
   const { ping_ms } = state.link;
   const leg = (age, ok) =>
-    age === null ? el("span", "ok", ok) : el("span", "bad", `silent ${ageText(age)}`);
+    age === null
+      ? el("span", "ok", ok)
+      : el("span", "bad", Number.isFinite(age) ? `silent ${ageText(age)}` : "not heard yet");
   return [
     el("b", "", "this page"),
     leg(page, ping_ms === null ? "ok" : `${Math.max(1, Math.round(ping_ms))} ms`),

@@ -193,6 +193,16 @@ export class ImagePanel {
     changed("list");
   }
 
+  /** For labels: how far apart they can be read, and the part of the image in sight; image pixels. */
+  inSight() {
+    const s = this.scale(),
+      { width, height } = this.surface;
+    return {
+      apart: [40 / s, 24 / s],
+      within: [...this.toImage([0, 0]), ...this.toImage([width, height])],
+    };
+  }
+
   panBy(dx, dy) {
     const s = this.scale(),
       [u, v] = this.middle();
