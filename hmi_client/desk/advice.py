@@ -21,6 +21,7 @@ from fleetpose.hmi_client.model.records import Pair
 from fleetpose.protocol.messages import Question
 
 SLOW_S = 5.0  # a server that is not heard for less may only be slow
+_THERE_PX = 2.0
 _LONG_S = 8.0  # an image that is waited for longer than that is worth a reason
 
 
@@ -204,15 +205,19 @@ def _to_pick(desk: Desk, pair: Pair) -> Step:
     question = _question(desk)
     facts = _progress(desk) + _context(desk)
     by_hand = (_act(desk, "go", "go to what stands out"), _act(desk, "pick", "pick"))
-    if desk.suggestions.refused == pair:
+    refused, points = desk.suggestions.refused == pair, any(map(is_live, desk.session.entries()))
+    if refused and not points:
         title = f"None of the suggestions shows the same in {i} and {j}"
         go_on = _act(desk, "next", "next question", primary=True)
         return Step("ask", title, facts, (go_on, *by_hand))
-    if question is not None and question.suggestions:
+    if question is not None and question.suggestions and not refused:
         shows = _act(desk, "accept", "show suggestions", primary=True)
         return Step("ask", f"Where do {i} and {j} see the same point?", facts, (shows, *by_hand))
-    snap = _act(desk, "snap", "snap")
     title = f"Pick the same point in {i} and in {j}"
+    if question is None and desk.session.question() and not desk.session.entries():
+        go_on = _act(desk, "next", "next question", primary=True)
+        return Step("ask", title, ("nothing is asked about them", *facts), (go_on, *by_hand))
+    snap = _act(desk, "snap", "snap")
     first = _act(desk, "pick", "pick", primary=True)
     return Step("ask", title, facts, (by_hand[0], snap, first))
 
@@ -277,10 +282,17 @@ def misfit_text(misfit: Misfit, pair: Pair) -> str:
     return f"{misfit.a} and {misfit.b} do not fit: {in_i} apart in {pair[0]}, {in_j} in {pair[1]}"
 
 
+def _is_there(wrong: Wrong) -> bool:
+    """Whether a point lies where the others put it, so that moving it there mends nothing."""
+    return wrong.off_px is not None and wrong.off_px < _THERE_PX
+
+
 def _how_to_mend(desk: Desk, wrong: Wrong) -> tuple[str, ...]:
     """What to compare before a point is moved or erased."""
     if wrong.fits is None or not desk.shows(wrong.id):
         return ()
+    if _is_there(wrong):
+        return ("it is where the others put it, but hidden there or without a good depth",)
     here, there = desk.robot(wrong.side), desk.robot(1 - wrong.side)
     return (
         f"in {here} the others put it at ◇",
@@ -292,7 +304,7 @@ def _mend(desk: Desk, wrong: Wrong) -> tuple[Action, ...]:
     erase = _on_point(desk, "erase", f"erase {wrong.number}", wrong.id)
     if not desk.shows(wrong.id):
         return _act(desk, "look", "show it", primary=True), erase
-    if wrong.fits is None:
+    if wrong.fits is None or _is_there(wrong):
         move = _on_point(desk, "move", "move it to the cursor", wrong.id)
         return move, replace(erase, primary=True)
     to = {"side": wrong.side, "pixel": list(wrong.fits)}

@@ -1,28 +1,29 @@
 """A newcomer tries the operator's page on a fleet of simulated robots: by mouse alone, by keys
-alone, and with a wrong click. The newcomer knows nothing but what the page shows, and what pixels show.
+alone, and with a wrong click. All that is known is what the page shows, and what pixels show.
 """
 
 import math
 import os
-import secrets
 import shutil
-import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from fleetpose.deploy.local_fleet import LocalFleet, wait_running
+from fleetpose.deploy.local_fleet import LocalFleet
+from fleetpose.evaluation.metrics.geometry import Floats, inverse
 from fleetpose.evaluation.report.output import output_folder
 from fleetpose.evaluation.simulate.operator import far_apart
 from fleetpose.evaluation.system.demo import demo_plan, start_demo
 from fleetpose.evaluation.system.fleet import FleetPlan, observed, wait_started
-from fleetpose.evaluation.system.observer import Observer
-from fleetpose.evaluation.system.terminal.fingers import APART_PX, GOOD_PX, Eyes
+from fleetpose.evaluation.system.observer import Observer, SeenView
+from fleetpose.evaluation.system.truth import Truth
+from fleetpose.protocol.clouds import points_of
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.transport import free_port
 
@@ -34,9 +35,74 @@ JOINED_S = 20.0
 SIDES = ("[data-panel=left]", "[data-panel=right]")
 COMMON = 100  # points that two images share, for a person to see that they show the same
 _SUGGESTED = "both crosses"
+MOST = 40  # deeds until a newcomer gives up
+APART_PX = 25.0  # points that are nearer to each other tell little more
+GOOD_PX = 4.0  # nearer than that two crosses show the same point to an eye at the loupe
+KNOWN_PX = 6.0  # from a pixel to one whose depth is known
 LOUPE = 8.0  # CSS pixels per pixel
 PRIMARY = "#bar .primary"
 Pixel = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Eyes:
+    """What a person sees who compares two images, from what is true of them.
+
+    Attributes:
+        clouds: xyz (N, 3), metres, and uv (N, 2), px, of each view.
+        K: (3, 3) px of each camera.
+        T_i_j: (4, 4) true, of the cameras.
+        uv_i, uv_j: (M, 2) pixels that show the same points.
+        sizes: width and height of each image.
+    """
+
+    clouds: tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
+    K: tuple[Floats, Floats]
+    T_i_j: Floats
+    uv_i: Floats
+    uv_j: Floats
+    sizes: tuple[tuple[int, int], tuple[int, int]]
+
+    @classmethod
+    def of(cls, truth: Truth, i: SeenView, j: SeenView) -> "Eyes":
+        """Of two views of a fleet.
+
+        Raises:
+            FleetPoseError: it is not known where they were seen from.
+        """
+        worlds = [truth.T_world_robot(one) for one in (i, j)]
+        if worlds[0] is None or worlds[1] is None:
+            raise FleetPoseError(f"it is not known where {i.view.name} was seen from")
+        cameras = [one.view.camera for one in (i, j)]
+        T_world = [T @ c.T_robot_camera for T, c in zip(worlds, cameras, strict=True)]
+        found = [points_of(one.view) for one in (i, j)]
+        return cls(
+            ((found[0].xyz, found[0].uv), (found[1].xyz, found[1].uv)),
+            (cameras[0].K, cameras[1].K),
+            inverse(T_world[0]) @ T_world[1],
+            *truth.correspondences(i, j),
+            ((cameras[0].width, cameras[0].height), (cameras[1].width, cameras[1].height)),
+        )
+
+    def same(self, left: Pixel, right: Pixel) -> bool:
+        """Whether two pixels show the same point: by the depth of either, at the true pose."""
+        there = self._seen_at(0, left, inverse(self.T_i_j))
+        back = self._seen_at(1, right, self.T_i_j)
+        return any(
+            seen is not None and math.dist(seen, other) < GOOD_PX
+            for seen, other in ((there, right), (back, left))
+        )
+
+    def _seen_at(self, side: int, pixel: Pixel, T_other_here: Floats) -> Pixel | None:
+        """Where the other image shows what a pixel shows."""
+        xyz, uv = self.clouds[side]
+        far = np.linalg.norm(uv - pixel, axis=1)
+        nearest = int(np.argmin(far))
+        if far[nearest] > KNOWN_PX:
+            return None
+        point = np.linalg.inv(self.K[side]) @ (*pixel, 1.0) * xyz[nearest, 2]
+        moved = self.K[1 - side] @ (T_other_here[:3, :3] @ point + T_other_here[:3, 3])
+        return float(moved[0] / moved[2]), float(moved[1] / moved[2])
 
 
 @dataclass(frozen=True)
@@ -142,41 +208,52 @@ class Newcomer:
 
     # ---- answers ---------------------------------------------------------------------------------
 
-    def answer(self, hand: "Hand") -> None:
-        """Takes the best question that both images can answer, and its suggestions, until the fleet
-        is joined.
+    def answer(self, hand: Hand) -> None:
+        """Does what the bar proposes until the fleet is joined: says yes or no where that is asked,
+        and goes on where the two images show different things.
+
+        Raises:
+            FleetPoseError: that leads nowhere.
         """
-        hand.go()
-        eyes = self.look()
-        while len(eyes.uv_i) < COMMON:  # at a glance, they show different things
-            before = self.pair()
-            hand.next()
-            self.until("other pair", lambda before=before: self.pair() != before)
-            eyes = self.look()
-        self.until("offer", lambda: "see the same point" in self.bar())
-        self.shot("question")
-        hand.go()
-        self.until("suggestion", lambda: _SUGGESTED in self.bar())
-        self.shot("suggestion")
-        while not self.joined() and _SUGGESTED in self.bar():
+        while not self.joined():
+            if self.deeds >= MOST:
+                raise FleetPoseError(f"not joined after {MOST} deeds; the bar says {self.bar()!r}")
+            self.until("proposal", lambda: self.joined() or self._is_offered())
             asked = self._asked()
-            left, right = self.cross(0), self.cross(1)
-            partner = eyes.partner(left)
-            good = partner is not None and math.dist(partner, right) < GOOD_PX
-            if good and all(math.dist(left, p) >= APART_PX for p in self.picked):
-                self.picked.append(left)
-                hand.yes()
-            else:
-                hand.no()
-            self.until("next step", lambda asked=asked: self._asked() != asked or self.joined())
-            if len(self.picked) >= POINTS:
-                self.page.wait_for_timeout(1500)  # a person sees what came of it
-        self.until("joined fleet", self.joined, JOINED_S)
+            self._step(hand)
+            self.until("change", lambda asked=asked: self._asked() != asked or self.joined())
+            self.page.wait_for_timeout(1500 if len(self.picked) >= POINTS else 300)  # it is read
         self.page.wait_for_timeout(1000)
         self.shot("joined")
 
+    def _step(self, hand: Hand) -> None:
+        self.shot(f"step-{self.deeds}")
+        shown = bool(self.page.inner_text(f"{SIDES[0]} .place"))
+        if not shown:
+            hand.go()
+        elif _SUGGESTED not in self.bar():
+            (hand.go if len(self.look().uv_i) >= COMMON else hand.next)()
+        elif self._same():
+            self.picked.append(self.cross(0))
+            hand.yes()
+        else:
+            hand.no()
+
+    def _same(self) -> bool:
+        """Whether both crosses show the same point, away from those that were picked."""
+        left, right = self.cross(0), self.cross(1)
+        apart = all(math.dist(left, p) >= APART_PX for p in self.picked)
+        return apart and self.look().same(left, right)
+
+    def _is_offered(self) -> bool:
+        pairs, places = zip(*(self._shown(side) for side in SIDES), strict=True)
+        return self.page.locator(PRIMARY).count() > 0 and ("–" in pairs or all(places))
+
+    def _shown(self, side: str) -> tuple[str, str]:
+        return self.page.inner_text(f"{side} .robot"), self.page.inner_text(f"{side} .place")
+
     def _asked(self) -> str:
-        return f"{self.bar()} {self.cross(0)}"
+        return f"{self.bar()} {[self._shown(side) for side in SIDES]}"
 
     def pick_by_mouse(self, left: Pixel, right: Pixel) -> None:
         """A click near, one in the loupe; the same in the other image, where that is needed."""
@@ -211,26 +288,24 @@ class _Trial:
     plan: FleetPlan
     observer: Observer
     url: str
-    tokens: dict[str, str]
     chromium: Any
     out: Path
 
     @contextmanager
-    def newcomer(self, name: str) -> Iterator[Newcomer]:
-        """Somebody at a page of his own; what he clicked is taken back at the end."""
+    def newcomer(self) -> Iterator[Newcomer]:
+        """Somebody who has read what the page says once the machine is through."""
         page = self.chromium.new_page(viewport={"width": 1600, "height": 1000})
-        page.goto(f"{self.url}#token={self.tokens[name]}")
-        shots = self.out / name
-        shots.mkdir(parents=True, exist_ok=True)
-        who = Newcomer(page, self._eyes, shots)
-        who.until("question", lambda: "best question" in who.bar(), STARTED_S)
+        page.goto(self.url)
+        who = Newcomer(page, self._eyes, self.out)
+        alone = f"{ROBOTS - 1} of {ROBOTS} located"
+        who.until("fleet but one", lambda: alone in page.inner_text("#summary"), STARTED_S)
+        page.wait_for_timeout(3000)  # it is read
         yield who
-        self._take_back(page)
         page.close()
 
     def by_mouse(self) -> int:
         """Clicks from the first sight of the page to the joined fleet."""
-        with self.newcomer("mouse") as who:
+        with self.newcomer() as who:
             go = lambda: who.click(PRIMARY)  # noqa: E731
             no = lambda: who.click("#bar .button:nth-of-type(2)")  # noqa: E731
             who.answer(Hand(go, go, no, lambda: who.click("footer .hint:first-child")))
@@ -238,14 +313,14 @@ class _Trial:
 
     def by_keys(self) -> int:
         """Keys for the same."""
-        with self.newcomer("keys") as who:
+        with self.newcomer() as who:
             keys = (lambda k=k: who.press(k) for k in ("Enter", "Tab", "Shift+Tab", "n"))
             who.answer(Hand(*keys))
         return who.deeds
 
     def with_a_wrong_click(self) -> dict[str, Any]:
         """The second point is clicked at another one, as if both were targets that look alike."""
-        with self.newcomer("wrong") as who:
+        with self.newcomer() as who:
             who.click(PRIMARY)
             eyes = who.look()
             order = far_apart(eyes.uv_i, 8, np.random.default_rng(1))
@@ -262,30 +337,13 @@ class _Trial:
                 who.pick_by_mouse(left, right)
             who.until("joined fleet", who.joined, JOINED_S)
             who.shot("mended")
-        return {"named": named, "mended_actions": mended, "wrong_joined": True}
+        return {"named": named, "mended_actions": mended}
 
     def _eyes(self, left: str, right: str) -> Eyes:
         seen = [self.observer.newest_view(name) for name in (left, right)]
         if seen[0] is None or seen[1] is None:
             raise FleetPoseError(f"no view of {left} or {right} was heard")
         return Eyes.of(self.plan.truth, seen[0], seen[1])
-
-    def _take_back(self, page: Any) -> None:
-        """Until the last robot is apart again."""
-        while rows := page.locator("#pair .row").count():
-            page.keyboard.press("u")
-            end = time.monotonic() + SHOWN_S
-            while page.locator("#pair .row").count() >= rows:
-                page.wait_for_timeout(20)
-                if time.monotonic() > end:
-                    raise FleetPoseError(f"a point of {rows} cannot be taken back")
-
-        def apart() -> bool:
-            seen = self.observer.poses().get(self.plan.names[-1])
-            return seen is None or not seen.pose.located
-
-        if not wait_running(self.fleet, apart, JOINED_S):
-            raise FleetPoseError(f"{self.plan.names[-1]} stays located without points")
 
 
 def try_out(out: Path) -> dict[str, Any]:
@@ -302,30 +360,42 @@ def try_out(out: Path) -> dict[str, Any]:
     Raises:
         FleetPoseError: the page did not show what it should; the sentence says what.
     """
+    folder = output_folder(out)
+    with _trial(folder / "mouse") as trial:
+        found: dict[str, Any] = {"clicks": trial.by_mouse()}
+    with _trial(folder / "keys") as trial:
+        found["keys"] = trial.by_keys()
+    with _trial(folder / "wrong") as trial:
+        found |= trial.with_a_wrong_click()
+    return found | {"joined": True}
+
+
+@contextmanager
+def _trial(out: Path) -> Iterator[_Trial]:
+    """A fleet, its page and a browser; all of them end."""
     from playwright.sync_api import sync_playwright
 
-    folder = output_folder(out)
-    tokens = {name: secrets.token_hex(16) for name in ("mouse", "keys", "wrong")}
-    scratch = Path(tempfile.mkdtemp(prefix="fleetpose-tryout-"))
-    token_file = scratch / "tokens"
-    token_file.write_text("".join(f"{name}:{token}\n" for name, token in tokens.items()))
-    token_file.chmod(0o600)
-    with _state_home(scratch), LocalFleet(folder / "logs") as fleet:
+    out.mkdir(parents=True, exist_ok=True)
+    for old in out.glob("*.png"):
+        old.unlink()
+    with ExitStack() as closing:
+        scratch = Path(closing.enter_context(TemporaryDirectory(prefix="fleetpose-tryout-")))
+        closing.enter_context(_state_home(scratch))
+        fleet = closing.enter_context(LocalFleet(out / "logs"))
         plan = demo_plan(ROBOTS, scratch)
         start_demo(fleet, plan, scratch)
-        listen = f"127.0.0.1:{free_port()}"
-        page = ("web", *fleet.connection, "--listen", listen, "--token-file", str(token_file))
-        fleet.start("page", "fleetpose.hmi_client", *page, "--no-open")
-        with observed(fleet) as observer, sync_playwright() as playwright:
-            wait_started(fleet, observer, ROBOTS)
-            arguments = ["--no-sandbox", "--disable-gpu"]
-            path = shutil.which("chromium")
-            chromium = playwright.chromium.launch(executable_path=path, args=arguments)
-            trial = _Trial(fleet, plan, observer, f"http://{listen}/", tokens, chromium, folder)
-            found = {"clicks": trial.by_mouse(), "keys": trial.by_keys(), "joined": True}
-            found |= trial.with_a_wrong_click()
-            chromium.close()
-    return found
+        url = f"http://127.0.0.1:{free_port()}/"
+        page = ("web", *fleet.connection, "--listen", url[7:-1], "--no-open")
+        fleet.start("page", "fleetpose.hmi_client", *page)
+        observer = closing.enter_context(observed(fleet))
+        wait_started(fleet, observer, ROBOTS)
+        token = (scratch / "fleetpose" / "web-token").read_text().strip()
+        playwright = closing.enter_context(sync_playwright())
+        arguments = ["--no-sandbox", "--disable-gpu"]
+        path = shutil.which("chromium")
+        chromium = playwright.chromium.launch(executable_path=path, args=arguments)
+        closing.callback(chromium.close)
+        yield _Trial(fleet, plan, observer, f"{url}#token={token}", chromium, out)
 
 
 @contextmanager

@@ -9,7 +9,10 @@ import { keyOf } from "./keys.js";
 
 const bar = document.getElementById("bar");
 const touchbar = document.getElementById("touchbar");
-let shown = "";
+const SETTLED_MS = 250; // what has just come under a hand was not meant by it
+let shown = "",
+  deed = "",
+  deedAt = 0;
 
 /** Draws the bar whenever its words change, and only then: it is read aloud. */
 export function startBar() {
@@ -35,6 +38,8 @@ function draw() {
   ]);
   if (words === shown) return;
   shown = words;
+  const first = step.actions[0]?.do ?? "";
+  if (first !== deed) [deed, deedAt] = [first, performance.now()];
   const focused = document.activeElement?.dataset?.deed;
   bar.className = `bar ${step.tone}`;
   bar.replaceChildren(
@@ -110,10 +115,14 @@ function actionButton(action) {
   const taken = action.do === "accept" && !state.assist.suggestion; // Tab is the browser's until a suggestion is shown
   const key = taken ? "Enter" : keyOf(action.do) || action.key;
   const node = button(`button${action.primary ? " primary" : ""}`, sentence(action.label), key, () =>
-    run(action.do, action.args ?? {}),
+    meant(action),
   );
   node.dataset.deed = action.do;
   return node;
+}
+
+function meant(action) {
+  if (performance.now() - deedAt > SETTLED_MS) run(action.do, action.args ?? {});
 }
 
 /** A tablet has no keys: undo, named, and the next question are always there. */
@@ -129,6 +138,6 @@ function touchButtons(step) {
 /** What Enter does where nothing else takes it. */
 export function primaryAction() {
   const action = stepNow().actions.find((a) => a.primary);
-  if (action) run(action.do, action.args ?? {});
+  if (action) meant(action);
   return !!action;
 }
