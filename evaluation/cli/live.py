@@ -19,6 +19,7 @@ from fleetpose.evaluation.options.fleets import (
 )
 from fleetpose.evaluation.options.recorded import Out
 from fleetpose.evaluation.options.ros import RosOptions
+from fleetpose.evaluation.options.web import WebOptions
 
 app = typer.Typer()
 
@@ -224,18 +225,36 @@ def hmi(options: HmiOptions, out: Out) -> None:
     run(options, out)
 
 
+@app.command()
+@of(WebOptions)
+def web(options: WebOptions, out: Out) -> None:
+    """Hold the operator's page to its bars: `hmi-client web` in Chromium without a screen, before a
+    stand-in for server and robots that tells poses and errors of the whole fleet at 10 Hz and two
+    images at 5 Hz.
+
+    Prints each bar with its figure and its limit; writes summary.json, report.md and screenshots.
+    Ends with 1 where one is not met, with 2 where there is no browser, and says what to install.
+    """
+    from fleetpose.evaluation.system.web.command import run_web
+
+    raise typer.Exit(run_web(options, out))
+
+
 @app.command("stand-in", hidden=True)
 def stand_in(
     notes: Annotated[Path, typer.Option(help="File for the operator's updates.")],
     robots: Annotated[int, typer.Option(min=2)] = 72,
     moving: Annotated[bool, typer.Option("--moving")] = False,
+    rate: Annotated[float, typer.Option(help="Poses per second.", min=0.1)] = 10.0,
+    image_rate: Annotated[float, typer.Option(help="Images per second.", min=0.1)] = 5.0,
+    points: Annotated[int, typer.Option(help="Points of a pair that is held.", min=0)] = 0,
     connect: Annotated[list[str] | None, typer.Option(help="Endpoint of the router.")] = None,
     site: Annotated[str, typer.Option(help="Name of the site.")] = "demo",
 ) -> None:
-    """Say what a server and robots would say, for `hmi`."""
+    """Say what a server and robots would say, for `hmi` and `web`."""
     from fleetpose.evaluation.system.terminal.stand_in import Load, run
 
-    run(Load(robots, moving=moving), tuple(connect or ()), site, notes)
+    run(Load(robots, rate, image_rate, moving, points), tuple(connect or ()), site, notes)
 
 
 @app.command()

@@ -44,6 +44,7 @@ JPEG_QUALITY = 92  # about 48 kB an image
 NOISE_LEVELS = 2.0  # of a sensor, sigma
 IMAGES = 40  # that are shown in turn
 PAN_PX = 6  # per image of a moving camera
+KEPT = 3  # clicks of a pair: the screen is not to drown in them
 _RING_M = 10.0
 
 Image = npt.NDArray[np.uint8]
@@ -58,12 +59,14 @@ class Load:
         state_hz: of poses and errors.
         image_hz: of each image that is wanted.
         moving: whether cameras pan; else they show the same, with a sensor's noise.
+        points: correspondences that each pair gets once its views are held.
     """
 
     robots: int
     state_hz: float = 10.0
     image_hz: float = 5.0
     moving: bool = False
+    points: int = 0
 
 
 def run(load: Load, connect: tuple[str, ...], site: str, notes: Path) -> None:
@@ -122,17 +125,18 @@ class StandIn:
     def run(self, stop: threading.Event) -> None:
         """Says until told to stop."""
         began_s, n = time.monotonic(), 0
-        per_image = max(round(self._load.state_hz / self._load.image_hz), 1)
+        shown = 0
         while not stop.is_set():
-            due_s = began_s + n / self._load.state_hz
-            while not stop.is_set() and time.monotonic() < due_s:
-                self._answer()
-                stop.wait(0.005)
-            if n % per_image == 0:
+            passed_s = time.monotonic() - began_s
+            if passed_s >= shown / self._load.image_hz:
                 self._seq += 1
                 self._show()
-            self._tell(n)
-            n += 1
+                shown += 1
+            if passed_s >= n / self._load.state_hz:
+                self._tell(n)
+                n += 1
+            self._answer()
+            stop.wait(0.005)
 
     # ---- saying ----------------------------------------------------------------------------------
 
@@ -239,6 +243,7 @@ class StandIn:
             sample = self._heard.popleft()
             if sample.key.endswith("/selection"):
                 self._selected = unpack(Selection, sample.payload, sample.encoding)
+                self._fill(self._selected)
             else:
                 self._take(unpack(OperatorUpdate, sample.payload, sample.encoding))
 
@@ -247,6 +252,7 @@ class StandIn:
             return
         self._receipted[update.session] = update.n
         record = {
+            **{name: getattr(update, name) for name in ("operator", "session", "n", "i", "j")},
             "action": update.action,
             "pixel_i": None if update.pixel_i is None else [float(x) for x in update.pixel_i],
             "pixel_j": None if update.pixel_j is None else [float(x) for x in update.pixel_j],
@@ -263,6 +269,17 @@ class StandIn:
         )
         self._put(self._keys.receipts(update.operator), receipts)
 
+    def _fill(self, selected: Selection) -> None:
+        """As many points as were asked for in the views that are held, once for a pair."""
+        views = selected.view_i, selected.view_j
+        if not self._load.points or None in views or selected.i is None or selected.j is None:
+            return
+        pair = selected.i, selected.j
+        if pair in self._sets and self._sets[pair].items[0].view_i == views[0]:
+            return
+        places = self._rng.uniform((0, 0), (WIDTH - 1, HEIGHT - 1), (self._load.points, 2))
+        self._publish(pair, tuple(_item(k + 1, "lee", *views, p, p) for k, p in enumerate(places)))
+
     def _keep(self, update: OperatorUpdate) -> None:
         """The newest few correspondences of a pair stay: the screen is not to drown in them."""
         pair = (update.i, update.j)
@@ -270,17 +287,12 @@ class StandIn:
         items = known.items if known else ()
         places = (update.view_i, update.view_j, update.pixel_i, update.pixel_j)
         if update.action == "add" and all(place is not None for place in places):
-            item = messages.Correspondence.model_validate(
-                {
-                    "id": update.n,
-                    "operator": update.operator,
-                    **dict(zip(("view_i", "view_j", "pixel_i", "pixel_j"), places, strict=True)),
-                    "status": "accepted",
-                    "residual_m": 0.01,
-                    "residual_px": 0.5,
-                }
-            )
-            items = (*items, item)[-3:]
+            item = _item(update.n + self._load.points, update.operator, *places)
+            items = (*items, item)[-(KEPT + self._load.points) :]
+        self._publish(pair, items)
+
+    def _publish(self, pair: tuple[str, str], items: tuple[messages.Correspondence, ...]) -> None:
+        known = self._sets.get(pair)
         revision = known.revision + 1 if known else 1
         self._sets[pair] = PairCorrespondences(
             i=pair[0], j=pair[1], revision=revision, items=items, server_epoch=self._epoch
@@ -307,6 +319,20 @@ class StandIn:
         if key not in self._publishers:
             self._publishers[key] = self._link.latched(key)
         self._publishers[key].put(pack(message), encoding_of(type(message)))
+
+
+def _item(id: int, operator: str, *places: object) -> messages.Correspondence:
+    names = ("view_i", "view_j", "pixel_i", "pixel_j")
+    return messages.Correspondence.model_validate(
+        {
+            "id": id,
+            "operator": operator,
+            **dict(zip(names, places, strict=True)),
+            "status": "accepted",
+            "residual_m": 0.01,
+            "residual_px": 0.5,
+        }
+    )
 
 
 CAMERA = messages.Camera(

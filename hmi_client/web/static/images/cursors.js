@@ -6,6 +6,8 @@ import { moveCursor } from "../link/commands.js";
 
 const last = { pair: "", half: "", guess: "", suggestion: "", wrong: "" };
 
+let left = null; // where the cross of the other image was when half a point was picked
+
 /** Follows lists and assistance. */
 export function startCursors(reveal) {
   react(["list", "assist", "images"], follow);
@@ -15,17 +17,21 @@ export function startCursors(reveal) {
 function follow() {
   const { list, assist } = state;
   once("pair", list.pair, () => (state.current = null));
-  once("half", list.half?.side, () => activate(list.half ? 1 - list.half.side : state.active));
-  if (state.images[assist.side])
-    once(
-      "guess",
-      assist.expected,
-      () => assist.expected?.pixel && moveCursor(assist.side, assist.expected.pixel),
-    );
+  once("half", list.half?.side, () => {
+    activate(list.half ? 1 - list.half.side : state.active);
+    left = state.cursors[state.active];
+  });
+  if (state.images[assist.side]) once("guess", assist.expected, () => guess(assist));
   if (state.images[0] && state.images[1]) {
     once("suggestion", assist.suggestion, () => assist.suggestion && both(assist.suggestion, 1));
     once("wrong", assist.wrong, () => assist.wrong && toPoint(assist.wrong.id, assist.wrong.side));
   }
+}
+
+/** A guess that comes late does not take the cross from where it was put meanwhile. */
+function guess({ side, expected }) {
+  const moved = left !== null && String(left) !== String(state.cursors[side]);
+  if (expected?.pixel && !moved) moveCursor(side, expected.pixel);
 }
 
 function once(what, value, deed) {
