@@ -1,6 +1,7 @@
 """What `pose-eval web` is asked for. Nothing heavy is imported."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from fleetpose.evaluation.options.building import told
 
@@ -12,4 +13,5 @@ class WebOptions:
     bars: str = told("Numbers of bars with commas between them. [default: all]", "")
     robots: int = told("Robots in the fleet.", 72, min=2)
     images: int = told("Of bar 11; 36000 are an hour.", 36_000, min=40)
+    data: Path | None = told("Of bar 13: a recording of posed views, picked by hand.")
     quick: bool = told("Fewer repetitions of each.", False, "--quick")
