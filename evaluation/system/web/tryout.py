@@ -14,6 +14,7 @@ import numpy as np
 
 from fleetpose.deploy.local_fleet import LocalFleet
 from fleetpose.evaluation.options.fleets import FleetOptions, OperateOptions
+from fleetpose.evaluation.options.names import CloudKind
 from fleetpose.evaluation.report.output import output_folder
 from fleetpose.evaluation.simulate.operator import far_apart
 from fleetpose.evaluation.system.demo import demo_plan, start_demo
@@ -83,7 +84,7 @@ class _Trial:
         return {"named": named, "mended_actions": mended}
 
     def by_hand(self) -> int:
-        """Clicks until the fleet is joined, without a suggestion, each point up to `NOISE_PX` off."""
+        """Clicks until the fleet is joined without a suggestion, points up to `NOISE_PX` off."""
         with self.newcomer() as who:
             who.click(PRIMARY)
             rng = np.random.default_rng(0)
@@ -142,9 +143,10 @@ def tried(out: Path, browser: Browser) -> dict[str, Any]:
     return found | {"joined": True}
 
 
-def clicks_by_hand(out: Path, browser: Browser, data: Path) -> int:
+def clicks_by_hand(out: Path, browser: Browser, data: Path, clouds: CloudKind | None = None) -> int:
     """Clicks until three robots on a recording are joined, without suggestions."""
-    with _trial(out / "by-hand", browser, OperateOptions(data=data).of_fleet()) as trial:
+    options = OperateOptions(data=data, clouds=clouds).of_fleet()
+    with _trial(out / "by-hand", browser, options) as trial:
         return trial.by_hand()
 
 

@@ -28,6 +28,8 @@ KEYMAP = [
             ("erase", "x", "Erase", "erase the point near the cursor, or that of the list"),
             ("cancel", "c escape", "Cancel", "drop half a pick, leave suggestions"),
             ("maximise", "m", "Max", "the images only, or all panels"),
+            ("why", "y", "Why", "why a robot is located, or not"),
+            ("freeze", "f", "Freeze", "hold both images still"),
             ("overview", "o", "Overview", "all pairs at once, in colours"),
             ("events", "l", "Events", "what happened, the newest first"),
             ("hide-more", "[", "Hide", "more errors become a hyphen"),

@@ -12,7 +12,11 @@ def newcomers(bench: Bench) -> list[Row]:
     bench.site.silence_server(True)  # it would only take the demo's time
     found = tried(bench.out, bench.browser)
     data = bench.options.data
-    by_hand = None if data is None else clicks_by_hand(bench.out, bench.browser, data)
+    by_hand = (
+        None
+        if data is None
+        else clicks_by_hand(bench.out, bench.browser, data, bench.options.clouds)
+    )
     what = "clicks on a recording, all points by hand"
     more = [] if by_hand is None else [at_most(13, what, by_hand, MOST_BY_HAND)]
     return [

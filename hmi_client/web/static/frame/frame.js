@@ -144,12 +144,13 @@ function drawClock() {
   box.hidden = !clock;
   if (!clock) return;
   if (!box.firstChild) buildClock(box);
-  const [play, seek, , text] = box.children;
+  const [play, seek, speed, text] = box.children;
   say(play, clock.paused ? "Play" : "Pause");
   if (document.activeElement !== seek) {
     seek.max = clock.of_s;
     seek.value = clock.s;
   }
+  if (document.activeElement !== speed) speed.value = String(clock.speed);
   say(text, `${clock.s.toFixed(1)} of ${clock.of_s.toFixed(1)} s`);
 }
 
@@ -169,7 +170,10 @@ function buildClock(box) {
     send({ do: "seek", s: Number(seek.value) });
     seek.blur();
   });
-  speed.addEventListener("change", () => send({ do: "speed", value: Number(speed.value) }));
+  speed.addEventListener("change", () => {
+    send({ do: "speed", value: Number(speed.value) });
+    speed.blur();
+  });
   box.append(
     button("button", "Play", "", () => send({ do: "play", paused: !state.clock.paused })),
     seek,
