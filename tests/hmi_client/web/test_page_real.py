@@ -67,7 +67,7 @@ def _certificate(folder: Path) -> dict[str, Path]:
         "-keyout",
         str(paths["key"]),
     ]
-    subprocess.run([*asked, *files], check=True, capture_output=True)
+    subprocess.run([*asked, "-subj", "/CN=127.0.0.1", *files], check=True, capture_output=True)
     return paths
 
 
