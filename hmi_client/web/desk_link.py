@@ -31,7 +31,7 @@ LOOK_S = 0.25  # at the longest: silence has no event
 FLEET_S = 0.5  # between two matrices, and two maps
 HEALTH_S = 1.0
 EVENTS_KEPT = 50
-_URGENT = ("server", "kept", "unconfirmed", "confirmed", "robots")
+_URGENT = ("server", "kept", "unconfirmed", "confirmed", "robots", "located")
 _TOPICS: tuple[Topic, ...] = tuple(
     topic for part in get_args(Topic) for topic in (get_args(part) or (part,))
 )

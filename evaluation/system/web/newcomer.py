@@ -189,7 +189,8 @@ class Newcomer:
 
     def joined(self) -> bool:
         """Whether the page says that all robots are located."""
-        return self.page.locator("#summary .apart").count() == 0
+        counts = self.page.inner_text("#summary .good").split()  # "● 5 of 6 located"
+        return counts[1] == counts[3] and self.page.locator("#summary .apart").count() == 0
 
     # ---- answers ---------------------------------------------------------------------------------
 

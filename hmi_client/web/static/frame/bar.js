@@ -85,7 +85,7 @@ function facts(step) {
   );
   if (step.legs)
     list.append(
-      el("div", "legs-fact", el("dt", "", "Where it is broken"), el("dd", "legs", ...legs(step.legs))),
+      el("div", "legs-fact", el("dt", "", Number.isFinite(step.legs[1] ?? 0) ? "Where it is broken" : "What is connected"), el("dd", "legs", ...legs(step.legs))),
     );
   return list;
 }

@@ -163,7 +163,7 @@ const SAYS = {
 };
 
 function words(point) {
-  return point.other_view ? `${stateOf(point)} · other view` : stateOf(point);
+  return point.other_view ? `${stateOf(point).replace(" the others", "")} · other view` : stateOf(point);
 }
 
 function stateOf(point) {
