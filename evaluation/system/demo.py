@@ -86,19 +86,29 @@ def run(robots: int, seconds: float, face: Face, pictures: Path | None = None) -
         raise FleetPoseError(f"--robots {robots}: a fleet has at least 2")
     began_s = time.monotonic()
     logs = Path(tempfile.mkdtemp(prefix="fleetpose-demo-"))
-    plan = plan_world([f"r{k + 1}" for k in range(robots)], logs, moving=False, seed=0)
+    plan = demo_plan(robots, logs)
     print(f"{robots} robots, a world, a server and a router; logs in {logs}", flush=True)
     print(
         f"the machine may not align {plan.names[-1]}: it waits for an operator's clicks", flush=True
     )
-    workers = max(1, min(4, os.cpu_count() or 1))
     with LocalFleet(logs) as fleet:
-        start(fleet, plan, workers, logs / "state", kept_apart(plan.names, logs))
+        start_demo(fleet, plan, logs)
         print(f"more screens: hmi-client {' '.join(fleet.connection)}", flush=True)
         if face != "none":
             return _by_hand(fleet, plan, face)
         result = _unattended(fleet, plan, began_s + seconds - CLOSING_S, pictures)
     return report(result, fleet.leftover_processes())
+
+
+def demo_plan(robots: int, logs: Path) -> FleetPlan:
+    """So many robots around a building; `logs` is the folder for what is true of them."""
+    return plan_world([f"r{k + 1}" for k in range(robots)], logs, moving=False, seed=0)
+
+
+def start_demo(fleet: LocalFleet, plan: FleetPlan, logs: Path) -> None:
+    """Starts a demo's processes; its last robot is kept from the automatic path."""
+    workers = max(1, min(4, os.cpu_count() or 1))
+    start(fleet, plan, workers, logs / "state", kept_apart(plan.names, logs))
 
 
 def without_screen(headless: bool) -> bool:

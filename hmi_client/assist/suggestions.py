@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from fleetpose.hmi_client.assist.clicked_points import ClickedPoints, is_live
 from fleetpose.hmi_client.assist.pick_assist import PickAssist
 from fleetpose.hmi_client.errors import OperatorError
-from fleetpose.hmi_client.model.records import Pick, PixelUV
+from fleetpose.hmi_client.model.records import Pair, Pick, PixelUV
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.network.outbox import Ticket
 from fleetpose.protocol.messages import Question, Suggestion, ViewName
@@ -33,6 +33,7 @@ class Suggestions:
 
     Attributes:
         dropped: how many of them accepted points contradict.
+        refused: the pair whose suggestions were all skipped, until they are shown again.
     """
 
     def __init__(self, session: OperatorSession, guide: PickAssist, points: ClickedPoints) -> None:
@@ -42,7 +43,9 @@ class Suggestions:
         self._views: tuple[ViewName, ViewName] | None = None
         self._all: tuple[Pick, ...] = ()
         self._at = 0
+        self._accepted = False
         self.dropped = 0
+        self.refused: Pair | None = None
 
     @property
     def current(self) -> Proposal | None:
@@ -70,6 +73,7 @@ class Suggestions:
             what = "any more" if question.suggestions else "yet"
             raise OperatorError(f"nothing is suggested for this pair {what}: pick points yourself")
         self._views, self._all, self._at = (question.view_i, question.view_j), fresh, 0
+        self._accepted, self.refused = False, None
         self._session.hold(*self._views)
 
     def accept(self, pixel_i: PixelUV, pixel_j: PixelUV) -> Ticket:
@@ -86,6 +90,7 @@ class Suggestions:
                 raise OperatorError(f"the server does not keep this view of {view.robot} any more")
         view_i, view_j = self._views
         ticket = self._session.add(view_i, pixel_i, view_j, pixel_j)
+        self._accepted = True
         self.skip()
         return ticket
 
@@ -94,6 +99,7 @@ class Suggestions:
         done, left = self._all[: self._at + 1], self._all[self._at + 1 :]
         self._all, self._at = done + self._ranked(left), self._at + 1
         if self._at >= len(self._all):
+            self.refused = None if self._accepted else self._session.pair
             self.end()
 
     def back(self) -> None:

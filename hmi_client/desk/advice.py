@@ -21,6 +21,7 @@ from fleetpose.hmi_client.model.records import Pair
 from fleetpose.protocol.messages import Question
 
 SLOW_S = 5.0  # a server that is not heard for less may only be slow
+_THERE_PX = 2.0
 _LONG_S = 8.0  # an image that is waited for longer than that is worth a reason
 
 
@@ -115,7 +116,7 @@ def _unselected(desk: Desk) -> Step:
         facts = (located_text(desk.session), "any pair can be chosen in the matrix")
         return Step("done", "Nothing is asked", facts)
     title = f"The best question: {question.i} - {question.j}"
-    return Step("ask", title, _why(question), (_act(desk, "next", "goes to it", primary=True),))
+    return Step("ask", title, _why(question), (_act(desk, "next", "go to it", primary=True),))
 
 
 # ---- images --------------------------------------------------------------------------------------
@@ -154,7 +155,7 @@ def _not_kept(desk: Desk, pair: Pair) -> Step | None:
     if not lost:
         return None
     title = f"The server does not keep this view of {' and '.join(lost)}: pick in a newer one"
-    thaw = _act(desk, "freeze", "lets the images go on", primary=True)
+    thaw = _act(desk, "freeze", "let the images go on", primary=True)
     return Step("warn", title, ("clicks in it would be refused",), (thaw,))
 
 
@@ -170,9 +171,9 @@ def _half_picked(desk: Desk, pair: Pair) -> Step | None:
     expected = desk.expected
     facts = () if expected is None else (f"◇ is where it is expected: {expected.how}",)
     actions = (
-        _act(desk, "pick", "picks", primary=True),
-        _act(desk, "snap", "snaps"),
-        _act(desk, "cancel", "cancels"),
+        _act(desk, "pick", "pick", primary=True),
+        _act(desk, "snap", "snap"),
+        _act(desk, "cancel", "cancel"),
     )
     return Step("act", title, facts + _progress(desk), actions)
 
@@ -193,7 +194,7 @@ def _suggested(desk: Desk) -> Step | None:
     actions = (
         _act(desk, "accept", "yes", primary=True),
         _act(desk, "skip", "no"),
-        _act(desk, "cancel", "leaves"),
+        _act(desk, "cancel", "leave"),
     )
     return Step("ask", title, (*_progress(desk), *facts, *_context(desk)), actions)
 
@@ -202,13 +203,21 @@ def _to_pick(desk: Desk, pair: Pair) -> Step:
     i, j = pair
     question = _question(desk)
     facts = _progress(desk) + _context(desk)
-    by_hand = (_act(desk, "go", "goes to what stands out"), _act(desk, "pick", "picks"))
-    if question is not None and question.suggestions:
-        shows = _act(desk, "accept", "shows suggestions", primary=True)
+    by_hand = (_act(desk, "go", "go to what stands out"), _act(desk, "pick", "pick"))
+    refused, points = desk.suggestions.refused == pair, any(map(is_live, desk.session.entries()))
+    if refused and not points:
+        title = f"None of the suggestions shows the same in {i} and {j}"
+        go_on = _act(desk, "next", "next question", primary=True)
+        return Step("ask", title, facts, (go_on, *by_hand))
+    if question is not None and question.suggestions and not refused:
+        shows = _act(desk, "accept", "show suggestions", primary=True)
         return Step("ask", f"Where do {i} and {j} see the same point?", facts, (shows, *by_hand))
-    snap = _act(desk, "snap", "snaps")
     title = f"Pick the same point in {i} and in {j}"
-    first = _act(desk, "pick", "picks", primary=True)
+    if question is None and desk.session.question() and not desk.session.entries():
+        go_on = _act(desk, "next", "next question", primary=True)
+        return Step("ask", title, ("nothing is asked about them", *facts), (go_on, *by_hand))
+    snap = _act(desk, "snap", "snap")
+    first = _act(desk, "pick", "pick", primary=True)
     return Step("ask", title, facts, (by_hand[0], snap, first))
 
 
@@ -236,7 +245,7 @@ def _refused(desk: Desk) -> Step | None:
     if not refused:
         return None
     number, entry = refused[-1]
-    actions = (_act(desk, "pick", "picks another", primary=True), _act(desk, "cancel", "clears it"))
+    actions = (_act(desk, "pick", "pick another", primary=True), _act(desk, "cancel", "clear it"))
     title = f"Point {number} was refused: {plain(entry.note)}"
     return Step("warn", title, _progress(desk) + _context(desk), actions)
 
@@ -245,16 +254,17 @@ def _contradicted(desk: Desk, pair: Pair) -> Step | None:
     entries = desk.session.entries()
     wrong = desk.wrong()
     if wrong is not None:
-        return Step("warn", wrong_text(wrong), _context(desk), _mend(desk, wrong))
+        facts = _how_to_mend(desk, wrong) + _context(desk)
+        return Step("warn", wrong_text(wrong), facts, _mend(desk, wrong))
     misfits = desk.points.misfits(entries)
     if not misfits:
         return None
     worst = max(misfits, key=lambda m: abs(m.in_i_m - m.in_j_m))
     newest = entries[worst.b - 1]
-    actions = (_act(desk, "undo", "takes it back"),)
+    actions = (_act(desk, "undo", "take it back"),)
     if newest.id is not None:
-        actions = (_on_point(desk, "erase", f"erases {worst.b}", newest.id),)
-    more = _act(desk, "pick", "picks another", primary=True)
+        actions = (_on_point(desk, "erase", f"erase {worst.b}", newest.id),)
+    more = _act(desk, "pick", "pick another", primary=True)
     facts = _progress(desk) + _context(desk)
     return Step("warn", misfit_text(worst, pair), facts, (*actions, more))
 
@@ -271,16 +281,33 @@ def misfit_text(misfit: Misfit, pair: Pair) -> str:
     return f"{misfit.a} and {misfit.b} do not fit: {in_i} apart in {pair[0]}, {in_j} in {pair[1]}"
 
 
+def _is_there(wrong: Wrong) -> bool:
+    """Whether a point lies where the others put it, so that moving it there mends nothing."""
+    return wrong.off_px is not None and wrong.off_px < _THERE_PX
+
+
+def _how_to_mend(desk: Desk, wrong: Wrong) -> tuple[str, ...]:
+    """What to compare before a point is moved or erased."""
+    if wrong.fits is None or not desk.shows(wrong.id):
+        return ()
+    if _is_there(wrong):
+        return ("it is where the others put it, but hidden there or without a good depth",)
+    here, there = desk.robot(wrong.side), desk.robot(1 - wrong.side)
+    return (
+        f"in {here} the others put it at ◇",
+        f"if ◇ shows the same as {there}, move it there, else erase it",
+    )
+
+
 def _mend(desk: Desk, wrong: Wrong) -> tuple[Action, ...]:
-    erase = _on_point(desk, "erase", f"erases {wrong.number}", wrong.id)
+    erase = _on_point(desk, "erase", f"erase {wrong.number}", wrong.id)
     if not desk.shows(wrong.id):
-        return _act(desk, "look", "shows it", primary=True), erase
-    if wrong.fits is None:
-        return replace(
-            _on_point(desk, "move", "moves it to the cursor", wrong.id), primary=True
-        ), erase
+        return _act(desk, "look", "show it", primary=True), erase
+    if wrong.fits is None or _is_there(wrong):
+        move = _on_point(desk, "move", "move it to the cursor", wrong.id)
+        return move, replace(erase, primary=True)
     to = {"side": wrong.side, "pixel": list(wrong.fits)}
-    move = _on_point(desk, "move", "moves it to ◇", wrong.id, **to)
+    move = _on_point(desk, "move", "move it to ◇", wrong.id, **to)
     return replace(move, primary=True), erase
 
 
@@ -339,4 +366,4 @@ def _on_point(desk: Desk, do: str, label: str, id: int, **args: Any) -> Action:
 
 
 def _leave(desk: Desk) -> Action:
-    return _act(desk, "cancel", "leaves")
+    return _act(desk, "cancel", "leave")

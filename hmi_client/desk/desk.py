@@ -287,11 +287,11 @@ class Desk(DeskState):
         self.page = "events"
 
     def _do_why(self, robot: object = None) -> None:
-        """About a robot; default: the first one of the selected pair."""
+        """About a robot; default: one of the selected pair, that is not located if there is one."""
         robots = self.session.robots()
         if not robots:
             raise OperatorError("no robot is known yet")
-        wanted = robot or self.robot(0) or robots[0]
+        wanted = robot or self.in_question() or robots[0]
         self.page, self.about = "why", self.session.robot(str(wanted)).robot
 
     def _do_quit(self) -> None:

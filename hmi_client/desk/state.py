@@ -134,8 +134,20 @@ class DeskState:
         return None if lifted is None else float(lifted.point[2])
 
     def wrong(self) -> Wrong | None:
-        """The point of the selected pair that the others contradict, told on the side at work."""
-        return self.points.wrong(self.session.entries(), self.side)
+        """The point of the selected pair that the others contradict, told on the side at work;
+        `fits` only where that is in the image.
+        """
+        wrong, size = self.points.wrong(self.session.entries(), self.side), self.size(self.side)
+        if wrong is None or wrong.fits is None or size is None:
+            return wrong
+        inside = all(-0.5 <= x < most - 0.5 for x, most in zip(wrong.fits, size, strict=True))
+        return wrong if inside else replace(wrong, fits=None, off_px=None)
+
+    def in_question(self) -> str | None:
+        """Of the selected pair the robot that is not located, else the one on the side at work."""
+        poses, pair = self.session.poses(), self.session.pair or ()
+        lost = [name for name in pair if name not in poses or not poses[name].located]
+        return lost[0] if lost else self.robot(self.side)
 
     def shows(self, id: int) -> bool:
         """Whether a point is seen in the very views that it was clicked in."""

@@ -50,6 +50,7 @@ class OperatorSession(FleetModel):
         self._threshold_m = threshold_m
         self.half: HalfPick | None = None
         self._selected_s = clock()
+        self._passed: set[Pair] = set()
 
     @property
     def threshold_m(self) -> float:
@@ -90,13 +91,22 @@ class OperatorSession(FleetModel):
             self._bump("selection", "pictures", "correspondences", "alignment")
 
     def next_question(self, step: int = 1) -> bool:
-        """Selects the next question of the ranking (-1: the previous); false if none is asked."""
+        """Selects the best question that was not passed over yet (-1: the one before in the
+        ranking); false if none is asked. The ranking may change at any time.
+        """
         questions = self.fleet.questions if self.fleet else ()
         if not questions:
             return False
         pairs = [(q.i, q.j) for q in questions]
-        at = pairs.index(self.pair) + step if self.pair in pairs else 0
-        self.select(*pairs[at % len(pairs)])
+        here = self.pair if self.pair in pairs else None
+        if step < 0:
+            self.select(*pairs[0 if here is None else pairs.index(here) + step])
+            return True
+        if here is not None:
+            self._passed.add(here)
+        if self._passed >= set(pairs):  # the best ones again
+            self._passed = {here} if here is not None and len(pairs) > 1 else set()
+        self.select(*next(pair for pair in pairs if pair not in self._passed))
         return True
 
     def set_threshold(self, threshold_m: float) -> None:

@@ -31,13 +31,13 @@ LOOK_S = 0.25  # at the longest: silence has no event
 FLEET_S = 0.5  # between two matrices, and two maps
 HEALTH_S = 1.0
 EVENTS_KEPT = 50
-_URGENT = ("server", "kept", "unconfirmed", "confirmed", "robots")
+_URGENT = ("server", "kept", "unconfirmed", "confirmed", "robots", "located")
 _TOPICS: tuple[Topic, ...] = tuple(
     topic for part in get_args(Topic) for topic in (get_args(part) or (part,))
 )
 _LIST: tuple[Topic, ...] = (
     *("correspondences", "updates", "selection", "pictures"),
-    *("depths", "others", "fleet", "alignment"),
+    *("depths", "others", "fleet", "alignment", "settings"),
 )
 
 
@@ -182,7 +182,7 @@ class DeskLink:
             elif heard.do in OF_RECORDINGS:
                 self.seat.play(heard.do, dict(heard.args))
             elif heard.do == "why":
-                robot = heard.args.get("robot") or desk.robot(0) or desk.session.robots()[:1]
+                robot = heard.args.get("robot") or desk.in_question() or desk.session.robots()[:1]
                 guest.tell(told.why(desk, str(robot if isinstance(robot, str) else robot[0])))
             else:
                 self._do_at_desk(desk, guest, heard)

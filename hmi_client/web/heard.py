@@ -65,6 +65,10 @@ def _is_pixel(value: Any) -> bool:
     return isinstance(value, list) and len(value) == 2 and all(map(_is_number, value))
 
 
+def _is_window(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 4 and all(map(_is_number, value))
+
+
 def _is_text(value: Any) -> bool:
     return isinstance(value, str) and len(value) <= _LONGEST_TEXT
 
@@ -99,6 +103,8 @@ _ARGUMENTS: Mapping[str, Callable[[Any], bool]] = {
     "at": _is_number,
     "s": _is_number,
     "value": _is_value,
+    "apart": _is_pixel,
+    "within": _is_window,
     "step": _is_number,
     "paused": _is_yes_or_no,
     "images": _is_yes_or_no,

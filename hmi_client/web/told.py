@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from fleetpose.hmi_client.cli.why import why_record
 from fleetpose.hmi_client.desk import advice
-from fleetpose.hmi_client.desk.colours import MARKER_COLOURS, ROLES
+from fleetpose.hmi_client.desk.colours import MARKER_COLOURS
 from fleetpose.hmi_client.desk.desk import Desk
 from fleetpose.hmi_client.desk.keymap import KeyMap
 from fleetpose.hmi_client.desk.words import describe_cell, plain, sentences
@@ -57,10 +57,7 @@ def welcome(
         "version": release(),
         "replay": replay,
         "keymap": keymap.as_json(),
-        "colours": {
-            "roles": {theme: dict(colours) for theme, colours in ROLES.items()},
-            "markers": list(MARKER_COLOURS),
-        },
+        "colours": {"markers": list(MARKER_COLOURS)},  # those of a page are its style sheet's
         "quantities": [{"id": q, "title": title_of(q, "m")} for q in QUANTITIES],
         "settings": dict(settings),
     }
@@ -206,6 +203,7 @@ def points(desk: Desk) -> Frame:
         "undo": undo,
         "redo": redo,
         "words": describe_cell(session) if session.pair else "",
+        "threshold_m": _metres(session.threshold_m),
     }
 
 

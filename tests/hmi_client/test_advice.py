@@ -6,6 +6,7 @@ from screen_makers import picture
 from test_desk import PLACES, asked, held, known
 from test_desk import desk as desk
 
+from fleetpose.hmi_client.assist.clicked_points import Wrong
 from fleetpose.hmi_client.desk.advice import step
 from fleetpose.hmi_client.desk.words import confirmation, farewell, plain, sentences
 from fleetpose.hmi_client.model.session import OperatorSession
@@ -83,6 +84,27 @@ def test_an_outlier_is_named_shown_and_can_be_moved_or_erased(session, desk):
     assert all(action.key for action in step(desk).actions)
     desk.do("erase", **step(desk).actions[1].args)
     assert session.entries()[1].status == "erasing"
+
+
+def test_a_point_that_is_where_the_others_put_it_is_erased_not_moved(session, desk, monkeypatch):
+    session.on_correspondences(held(*PLACES, status="accepted", seq=3))
+    desk.do("show", number=2)
+    for robot in ("r1", "r2"):
+        session.on_fetched(picture(robot, 3))
+    id = session.entries()[1].id
+    for off_px, best in ((40.0, "move"), (0.5, "erase")):
+        wrong = Wrong(id, 2, 0, PLACES[1], PLACES[1], 1.3, off_px)
+        monkeypatch.setattr(desk, "wrong", lambda wrong=wrong: wrong)
+        assert [action.do for action in step(desk).actions if action.primary] == [best]
+
+
+def test_after_the_last_suggestion_was_refused_the_next_question_is_proposed(session, desk):
+    session.on_fleet(asked((100.0, 100.0), (500.0, 120.0)))
+    known(session, desk, holes=[((100.0, 100.0), 12.0)])
+    for _ in range(3):  # shows the first, refuses both
+        desk.do("accept" if desk.suggestions.current is None else "skip")
+    assert step(desk).title == "None of the suggestions shows the same in r1 and r2"
+    assert [action.do for action in step(desk).actions if action.primary] == ["next"]
 
 
 def test_a_refused_point_says_why_until_it_is_cleared(session, desk):

@@ -26,7 +26,7 @@ async def test_changed_keys_work_and_are_named_where_keys_are_named(session, tmp
     app = FleetApp({"demo": session}, keymap=changed)
     async with app.run_test(size=(160, 50)) as pilot:
         app.tick()
-        assert "f5 goes to it" in text(app.status)
+        assert "f5 go to it" in text(app.status)
         await press(pilot, "n")
         assert session.pair is None
         await press(pilot, "f5")
@@ -36,7 +36,7 @@ async def test_changed_keys_work_and_are_named_where_keys_are_named(session, tmp
         assert session.half is None
         await press(pilot, "j")
         assert session.half is not None
-        assert "ctrl+k cancels" in text(app.status)
+        assert "ctrl+k cancel" in text(app.status)
         await press(pilot, "ctrl+k")
         assert session.half is None
         await press(pilot, "question_mark")

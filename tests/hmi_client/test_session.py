@@ -349,6 +349,17 @@ def test_next_question_follows_the_ranking_and_wraps(session):
     assert session.pair == ("r1", "r2")
 
 
+def test_a_question_that_was_passed_over_does_not_come_back_when_the_ranking_turns(session):
+    first, second = session.fleet.questions[:2]
+    session.next_question()
+    session.on_fleet(fleet(n=session.fleet.n + 1, questions=(second, first)))
+    session.next_question()
+    assert session.pair == (second.i, second.j)
+    session.on_fleet(fleet(n=session.fleet.n + 1, questions=(second, first)))
+    session.next_question()
+    assert session.pair == (first.i, first.j)
+
+
 def test_the_threshold_follows_the_scene_until_the_operator_says_otherwise():
     session = OperatorSession("op")
     assert session.threshold_m == THRESHOLD_M  # nobody has told the depth yet

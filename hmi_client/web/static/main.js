@@ -2,7 +2,7 @@
 
 import { state, watch } from "./link/store.js";
 import { connect, heartbeat } from "./link/socket.js";
-import { command } from "./link/commands.js";
+import { command, sendAs } from "./link/commands.js";
 import { startKeys } from "./frame/keys.js";
 import { startBar } from "./frame/bar.js";
 import { startCursors } from "./images/cursors.js";
@@ -29,6 +29,10 @@ const zoom = (factor) => {
 };
 command("zoom-in", () => zoom(1.5));
 command("zoom-out", () => zoom(1 / 1.5));
+command("go", (args) => {
+  const panel = panels[args.side ?? state.active];
+  sendAs("go", state.images[panel.side] ? { ...panel.inSight(), ...args } : args);
+});
 command("fit", () => panels[state.active].fit());
 
 const map = startMap(),

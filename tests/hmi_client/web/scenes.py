@@ -8,6 +8,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from fleetpose.hmi_client.desk.colours import MARKER_COLOURS
+from fleetpose.hmi_client.model.matrix import QUANTITIES
+
 Frame = dict[str, Any] | bytes
 WIDTH, HEIGHT = 960, 640
 MARK = (699.5, 299.5)  # the middle of the white block of each image, in its pixels
@@ -25,6 +28,8 @@ KEYMAP = [
             ("erase", "x", "Erase", "erase the point near the cursor, or that of the list"),
             ("cancel", "c escape", "Cancel", "drop half a pick, leave suggestions"),
             ("maximise", "m", "Max", "the images only, or all panels"),
+            ("why", "y", "Why", "why a robot is located, or not"),
+            ("freeze", "f", "Freeze", "hold both images still"),
             ("overview", "o", "Overview", "all pairs at once, in colours"),
             ("events", "l", "Events", "what happened, the newest first"),
             ("hide-more", "[", "Hide", "more errors become a hyphen"),
@@ -73,7 +78,8 @@ def welcome(settings: dict[str, Any] | None = None) -> Frame:
         "version": "0",
         "replay": False,
         "keymap": keys,
-        "colours": {},
+        "colours": {"markers": list(MARKER_COLOURS)},
+        "quantities": [{"id": q, "title": q} for q in QUANTITIES],
         "settings": settings or {},
     }
 

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -52,3 +53,38 @@ def test_two_clicks_in_the_browser_become_a_correspondence_of_the_server(serve, 
     (update,) = server.updates
     assert (update.i, update.j, update.operator) == ("r1", "r2", "kim")
     assert wrong == []
+
+
+def _certificate(folder: Path) -> dict[str, Path]:
+    """One that nobody has signed, for this machine."""
+    paths = {"certificate": folder / "web.pem", "key": folder / "web.key"}
+    asked = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1"]
+    files = [
+        "-subj",
+        "/CN=127.0.0.1",
+        "-out",
+        str(paths["certificate"]),
+        "-keyout",
+        str(paths["key"]),
+    ]
+    subprocess.run([*asked, "-subj", "/CN=127.0.0.1", *files], check=True, capture_output=True)
+    return paths
+
+
+def test_by_tls_a_token_names_its_operator_and_a_wrong_one_is_told(router, tmp_path):
+    tokens = {"token-of-kim-1234": "kim", "token-of-ana-1234": "ana"}
+    reach = _certificate(tmp_path)
+    with (
+        real_bridge(router, tmp_path, tokens, **reach) as bridge,
+        sync_api.sync_playwright() as playwright,
+    ):
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        assert bridge.url.startswith("https://")
+        for token, name in tokens.items():
+            page = browser.new_context(ignore_https_errors=True).new_page()
+            page.goto(f"{bridge.url}#token={token}")
+            _until(page, lambda page=page, name=name: f"you: {name}" in page.inner_text("#who"))
+        page = browser.new_context(ignore_https_errors=True).new_page()
+        page.goto(f"{bridge.url}#token=guessed")
+        _until(page, lambda: "The token is not right" in page.inner_text("#bar"))
+        browser.close()

@@ -11,6 +11,7 @@ from fleetpose.evaluation.system.web.bars.many import (
     hour_of_images,
     thousand_points,
 )
+from fleetpose.evaluation.system.web.bars.newcomers import newcomers
 from fleetpose.evaluation.system.web.bars.speed import shown_and_confirmed
 from fleetpose.evaluation.system.web.bench import Bench
 from fleetpose.evaluation.system.web.rows import Row
@@ -21,6 +22,7 @@ BARS: dict[int, Callable[[Bench], list[Row]]] = {
     4: slow_link,
     10: thousand_points,
     11: hour_of_images,
+    13: newcomers,
 }
 SITES: dict[int, dict[str, Any]] = {10: {"points": POINTS}, 11: {"image_hz": IMAGES_HZ}}
 """What the site of a bar is other than usual, as `WebSite` takes it."""

@@ -11,9 +11,8 @@ const grid = panel.querySelector(".grid"),
   title = panel.querySelector(".title"),
   limit = panel.querySelector(".limit");
 const readout = document.getElementById("readout");
-const MOST_WORDS = 24,
-  BOLD_SHARE = 0.05;
-export const QUANTITIES = ["rms", "sigma", "regression", "overlap", "age", "verdict", "grave"];
+export const MOST_WORDS = 24;
+const   BOLD_SHARE = 0.05;
 const TITLES = {
   rms: "Errors of pairs",
   sigma: "Sigma of poses",
@@ -31,7 +30,7 @@ let heat = null,
 /** Draws on each change; gives `step(dx, dy)` for the arrows. */
 export function startMatrix() {
   heat = new HeatMap({ choose, hover });
-  watch(["matrix", "names", "list", "mode", "theme", "health"], draw);
+  watch(["matrix", "names", "list", "mode", "theme", "welcome"], draw);
   return { step };
 }
 
@@ -53,7 +52,7 @@ function draw() {
   tell();
 }
 
-const quantity = () => QUANTITIES[state.matrix.quantity] ?? "rms";
+const quantity = () => state.welcome?.quantities[state.matrix.quantity]?.id ?? "rms";
 
 function isError() {
   return ["rms", "sigma", "regression"].includes(quantity());

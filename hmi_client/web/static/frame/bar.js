@@ -9,7 +9,10 @@ import { keyOf } from "./keys.js";
 
 const bar = document.getElementById("bar");
 const touchbar = document.getElementById("touchbar");
-let shown = "";
+const SETTLED_MS = 250; // what has just come under a hand was not meant by it
+let shown = "",
+  deed = "",
+  deedAt = 0;
 
 /** Draws the bar whenever its words change, and only then: it is read aloud. */
 export function startBar() {
@@ -35,6 +38,8 @@ function draw() {
   ]);
   if (words === shown) return;
   shown = words;
+  const first = step.actions[0]?.do ?? "";
+  if (first !== deed) [deed, deedAt] = [first, performance.now()];
   const focused = document.activeElement?.dataset?.deed;
   bar.className = `bar ${step.tone}`;
   bar.replaceChildren(
@@ -80,7 +85,7 @@ function facts(step) {
   );
   if (step.legs)
     list.append(
-      el("div", "legs-fact", el("dt", "", "Where it is broken"), el("dd", "legs", ...legs(step.legs))),
+      el("div", "legs-fact", el("dt", "", Number.isFinite(step.legs[1] ?? 0) ? "Where it is broken" : "What is connected"), el("dd", "legs", ...legs(step.legs))),
     );
   return list;
 }
@@ -94,7 +99,9 @@ const kept = (text) => text.replace(/(\d) (?=(?:%|m|cm|s|px)(?:[ .,;)]|$))/g, "$
 function legs([page, server]) {
   const { ping_ms } = state.link;
   const leg = (age, ok) =>
-    age === null ? el("span", "ok", ok) : el("span", "bad", `silent ${ageText(age)}`);
+    age === null
+      ? el("span", "ok", ok)
+      : el("span", "bad", Number.isFinite(age) ? `silent ${ageText(age)}` : "not heard yet");
   return [
     el("b", "", "this page"),
     leg(page, ping_ms === null ? "ok" : `${Math.max(1, Math.round(ping_ms))} ms`),
@@ -108,10 +115,14 @@ function actionButton(action) {
   const taken = action.do === "accept" && !state.assist.suggestion; // Tab is the browser's until a suggestion is shown
   const key = taken ? "Enter" : keyOf(action.do) || action.key;
   const node = button(`button${action.primary ? " primary" : ""}`, sentence(action.label), key, () =>
-    run(action.do, action.args ?? {}),
+    meant(action),
   );
   node.dataset.deed = action.do;
   return node;
+}
+
+function meant(action) {
+  if (performance.now() - deedAt > SETTLED_MS) run(action.do, action.args ?? {});
 }
 
 /** A tablet has no keys: undo, named, and the next question are always there. */
@@ -127,6 +138,6 @@ function touchButtons(step) {
 /** What Enter does where nothing else takes it. */
 export function primaryAction() {
   const action = stepNow().actions.find((a) => a.primary);
-  if (action) run(action.do, action.args ?? {});
+  if (action) meant(action);
   return !!action;
 }

@@ -5,6 +5,7 @@ import { el, button, say } from "./dom.js";
 import { state, watch, broken, nameOf, selected, ageText } from "../link/store.js";
 import { missing, listed, plural } from "./steps.js";
 import { keyOf } from "./keys.js";
+import { run } from "../link/commands.js";
 import { send } from "../link/socket.js";
 
 const byId = (id) => document.getElementById(id);
@@ -70,11 +71,13 @@ function drawLink() {
     gone
       ? gone.leg === "page"
         ? `No connection, ${ageText(gone.age)}`
-        : `No server, ${ageText(gone.age)}`
+        : Number.isFinite(gone.age)
+          ? `No server, ${ageText(gone.age)}`
+          : "No server yet"
       : ok,
   );
-  byId("main").classList.toggle("stale", !!gone);
-  for (const stamp of document.querySelectorAll(".stamp")) say(stamp, gone ? `${ageText(gone.age)} old` : "");
+  byId("main").classList.toggle("stale", !!gone && Number.isFinite(gone.age));
+  for (const stamp of document.querySelectorAll(".stamp")) say(stamp, gone && Number.isFinite(gone.age) ? `${ageText(gone.age)} old` : "");
 }
 
 function drawFoot() {
@@ -89,16 +92,22 @@ function drawFoot() {
     box.dataset.words = words;
     box.replaceChildren(
       ...keys.map(([key, label, id]) =>
-        el(
-          "span",
-          "",
-          el("kbd", "", key),
-          id === "undo" && state.list.undo ? ` take back: ${state.list.undo}` : ` ${label}`,
-        ),
+        keyButton(key, id === "undo" && state.list.undo ? `take back: ${state.list.undo}` : label, id),
       ),
     );
   }
   drawKept();
+}
+
+/** What a key does, for those who have a mouse in the hand. */
+function keyButton(key, label, id) {
+  const node = el("button", "hint", el("kbd", "", key), ` ${label}`);
+  node.tabIndex = -1; // the keys are there already
+  node.addEventListener("click", () => {
+    run(id);
+    node.blur();
+  });
+  return node;
 }
 
 function drawKept() {
@@ -135,12 +144,13 @@ function drawClock() {
   box.hidden = !clock;
   if (!clock) return;
   if (!box.firstChild) buildClock(box);
-  const [play, seek, , text] = box.children;
+  const [play, seek, speed, text] = box.children;
   say(play, clock.paused ? "Play" : "Pause");
   if (document.activeElement !== seek) {
     seek.max = clock.of_s;
     seek.value = clock.s;
   }
+  if (document.activeElement !== speed) speed.value = String(clock.speed);
   say(text, `${clock.s.toFixed(1)} of ${clock.of_s.toFixed(1)} s`);
 }
 
@@ -160,7 +170,10 @@ function buildClock(box) {
     send({ do: "seek", s: Number(seek.value) });
     seek.blur();
   });
-  speed.addEventListener("change", () => send({ do: "speed", value: Number(speed.value) }));
+  speed.addEventListener("change", () => {
+    send({ do: "speed", value: Number(speed.value) });
+    speed.blur();
+  });
   box.append(
     button("button", "Play", "", () => send({ do: "play", paused: !state.clock.paused })),
     seek,

@@ -69,10 +69,14 @@ function drawVerdict() {
     others.length ? `${others.join(" and ")} ${others.length === 1 ? "is" : "are"} here too` : "",
   ].filter(Boolean);
   verdict.replaceChildren(
-    el("div", "head", chip, el("span", "", same ? (told.sentence ?? "") : "")),
+    el("div", "head", chip, el("span", "", same ? withoutVerdict(told) : "")),
     el("ul", "", ...lines.map((line) => el("li", "", line))),
   );
 }
+
+/** The chip says the verdict already. */
+const withoutVerdict = ({ sentence, verdict }) =>
+  verdict && sentence?.startsWith(`${verdict}, `) ? sentence.slice(verdict.length + 2) : (sentence ?? "");
 
 function drawQuestions() {
   verdict.replaceChildren(
@@ -83,7 +87,9 @@ function drawQuestions() {
           "dim",
           state.questions.length
             ? "These pairs would help most:"
-            : "Nothing is asked. Select any cell of the matrix to look at two images.",
+            : state.names.length > 1
+              ? "Nothing is asked. Select any cell of the matrix to look at two images."
+              : "Questions come once two robots are here.",
         ),
   );
   rows.replaceChildren(...state.questions.map((q, k) => questionRow(q, k)));
@@ -98,7 +104,7 @@ function questionRow(q, k) {
     el("span", "dim", `${k + 1}`),
     el("b", "", `${nameOf(q.i)} – ${nameOf(q.j)}`),
     el("span", "dim", q.why ?? ""),
-    el("b", "number", q.gain ? lengthText(q.gain) : ""),
+    el("b", "number", q.gain ? (q.gain < 0.001 ? "< 0.1 cm" : lengthText(q.gain)) : ""),
   );
   row.addEventListener("click", () => {
     if (state.mode === "over") run("overview");
@@ -157,7 +163,10 @@ const SAYS = {
 };
 
 function words(point) {
-  if (point.other_view) return "clicked in another view";
+  return point.other_view ? `${stateOf(point).replace(" the others", "")} · other view` : stateOf(point);
+}
+
+function stateOf(point) {
   if (point.status === "half") return `half: missing in ${selected()[point.pi ? 1 : 0]}`;
   if (point.status === "pending" && broken()) return "kept here, not confirmed";
   if (point.reason && point.status !== "confirmed")

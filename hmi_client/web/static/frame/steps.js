@@ -3,6 +3,7 @@
 
 import { state, broken, selected, ageText } from "../link/store.js";
 import { isBad } from "../images/marks.js";
+import { MOST_WORDS } from "../fleet/matrix.js";
 
 const TONES = { ask: "act", act: "act", warn: "out", done: "good", wait: "act", gone: "warn" };
 
@@ -31,17 +32,17 @@ function fact(told) {
   return [label, text];
 }
 
-/** "Question 1 of 3 · r3 – r8", "suggestion 2 of 8", "3 points, 1 contradicts". */
+/** "r3 – r8 · one of 3 questions", "3 points, 1 contradicts". */
 export function kickText() {
   const names = selected();
   if (!names) return ["", ""];
-  const { questions, list, assist } = state;
-  const k = questions.findIndex((q) => samePair([q.i, q.j], names));
-  const pair = `${names[0]} – ${names[1]}`;
-  const left = k < 0 ? pair : `Question ${k + 1} of ${questions.length} · ${pair}`;
+  const { questions, list } = state;
+  const asked = questions.some((q) => samePair([q.i, q.j], names)); // their order changes all the time
+  const pair = `${names[0]} – ${names[1]}`,
+    n_asked = questions.length;
+  const left = !asked ? pair : `${pair} · ${n_asked > 1 ? `one of ${n_asked} questions` : "the one question"}`;
   const bad = list.points.filter(isBad).length,
     n = list.points.length;
-  if (assist.suggestion) return [left, `suggestion ${assist.suggestion.n} of ${assist.suggestion.of}`];
   if (bad) return [left, `${plural(n, "point")}, ${bad} contradict${bad === 1 ? "s" : ""}`];
   return [left, list.half ? `point ${doneCount() + 1}` : n ? plural(n, "point") : ""];
 }
@@ -58,21 +59,24 @@ function goneStep({ leg, age }) {
   const clicks = kept
     ? `Your ${plural(kept, "click")} ${kept === 1 ? "is" : "are"} kept`
     : "Nothing of yours is lost";
-  const old =
-    state.poses || state.step
-      ? `What you see is ${ageText(age)} old · nothing to do but wait`
-      : "Nothing was heard yet";
+  const never = !Number.isFinite(age);
+  const old = never ? "Nothing was heard yet" : `What you see is ${ageText(age)} old · nothing to do but wait`;
   if (leg === "page") return pageGone(clicks, old, age);
   return {
-    tone: "warn",
+    tone: never ? "act" : "warn",
     kick: old,
-    title: `No server. ${clicks}`,
+    title: never && !kept ? "Waiting for a server" : `No server. ${clicks}`,
     legs: [null, age],
     facts: [
-      ["What happens now", "Clicks are sent once it is back, even if you close this page."],
+      [
+        "What happens now",
+        never
+          ? "The page goes on by itself once the server is heard."
+          : "Clicks are sent once it is back, even if you close this page.",
+      ],
       ["If it stays away", `Is pose-server run running on ${state.health.address || "its machine"}?`],
     ],
-    actions: [{ do: "events", label: "What was last confirmed" }],
+    actions: never ? [] : [{ do: "events", label: "What was last confirmed" }],
   };
 }
 
@@ -102,8 +106,12 @@ function overviewStep() {
   const title = lost.length
     ? `${lost.length} of ${plural(n, "robot")} ${lost.length === 1 ? "is" : "are"} missing`
     : `All ${plural(n, "robot")} are located`;
+  const seen =
+    n > MOST_WORDS
+      ? "Dark is little error, light is much, brown is hidden or rejected."
+      : "The largest errors are bold. - is hidden or rejected, ~ known through others, · never tried.";
   const facts = [
-    ["What you see", "Dark is little error, light is much, brown is hidden or rejected."],
+    ["What you see", seen],
     ["What to do", "Take the questions in their order, or select any cell."],
   ];
   if (lost.length)

@@ -196,7 +196,10 @@ export class ImagePanel {
     const [, other] = [...this.pointers].find(([key]) => key !== id);
     other.dragged = true;
     const reach = ([x, y]) => Math.hypot(x - other.at[0], y - other.at[1]) || 1;
-    this.zoomBy(reach(at) / reach(before), [(at[0] + other.at[0]) / 2, (at[1] + other.at[1]) / 2]);
+    const middle = ([x, y]) => [(x + other.at[0]) / 2, (y + other.at[1]) / 2];
+    const [was, now] = [middle(before), middle(at)];
+    this.zoomBy(reach(at) / reach(before), was);
+    this.panBy(now[0] - was[0], now[1] - was[1]); // what lies between the fingers goes with them
   }
 
   up(e) {
@@ -209,6 +212,16 @@ export class ImagePanel {
     this.section.focus({ preventScroll: true });
     if (e.shiftKey) run("snap");
     changed("list");
+  }
+
+  /** For labels: how far apart they can be read, and the part of the image in sight; image pixels. */
+  inSight() {
+    const s = this.scale(),
+      { width, height } = this.surface;
+    return {
+      apart: [40 / s, 24 / s],
+      within: [...this.toImage([0, 0]), ...this.toImage([width, height])],
+    };
   }
 
   panBy(dx, dy) {

@@ -4,7 +4,7 @@
 import { el, Surface } from "../frame/dom.js";
 import { state } from "../link/store.js";
 import { run, moveCursor } from "../link/commands.js";
-import { marksOf, drawMarks, loupeCross } from "./marks.js";
+import { marksOf, misfitOf, drawMarks, loupeCross } from "./marks.js";
 
 export const LOUPE_ZOOM = 8;
 const DRAG = 3;
@@ -27,8 +27,7 @@ export class Loupe {
   }
 
   wrong() {
-    const { wrong } = state.assist;
-    return wrong?.side === this.side && wrong.fits ? wrong : null;
+    return misfitOf(this.side);
   }
 
   /** The parts from top to bottom: the pixel in their middle, and their height. */

@@ -24,9 +24,16 @@ export function marksOf(side) {
   return {
     points,
     expected,
-    wrong: assist.wrong?.side === side && assist.wrong.fits ? assist.wrong : null,
+    wrong: misfitOf(side),
     hints: assist.hints.filter((h) => h.side === side),
   };
+}
+
+/** The point that does not fit, where this side shows the very view that it was clicked in. */
+export function misfitOf(side) {
+  const { wrong } = state.assist;
+  const point = wrong && state.list.points.find((p) => p.id === wrong.id);
+  return wrong?.side === side && wrong.fits && point && !point.other_view ? wrong : null;
 }
 
 export const isBad = (point) => point.status === "outlier" || point.status === "rejected";
@@ -52,7 +59,7 @@ export function drawMarks(ctx, marks, at, width, captions = true) {
   if (marks.expected) drawExpected(ctx, marks.expected, at, width, captions);
   if (marks.wrong) drawWrong(ctx, marks.wrong, at, width, captions);
   for (const mark of marks.points) drawPoint(ctx, at(mark.pixel), mark, width);
-  for (const hint of marks.hints)
+  for (const hint of captions ? marks.hints : [])
     if (hint.label.startsWith(state.typed))
       chip(ctx, at(hint.pixel), hint.label.toUpperCase(), "#fff", width, [0, 0]);
 }
@@ -207,7 +214,7 @@ export function loupeCross(ctx, [x, y], pixelSize) {
 
 export const tagOf = (side) => {
   const { list, assist } = state;
-  if (assist.wrong)
+  if (misfitOf(0) || misfitOf(1))
     return [`point ${numberOf(assist.wrong.id)}, as you clicked it`, assist.wrong.side === side];
   if (assist.suggestion) return ["suggested", true];
   if (!list.half) return ["", false];

@@ -13,7 +13,11 @@ export function command(id, deed) {
 
 /** Does a command; where the bar offers it, with the bar's arguments. */
 export function run(id, args = {}) {
-  if (own.has(id)) return own.get(id)(args);
+  return own.has(id) ? own.get(id)(args) : sendAs(id, args);
+}
+
+/** Sends a command, whoever does it else. */
+export function sendAs(id, args = {}) {
   if (broken()?.leg === "page")
     return tell("Not connected to hmi-client web: nothing can be done until it is back.");
   flushCursors();

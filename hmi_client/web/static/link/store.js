@@ -13,16 +13,6 @@ const NO_LIST = {
   words: "",
 };
 const NO_ASSIST = { side: 0, expected: null, suggestion: null, hints: [], wrong: null };
-export const MARKERS = [
-  "#e69f00",
-  "#56b4e9",
-  "#2fbf93",
-  "#f0e442",
-  "#4a9fe0",
-  "#f2844b",
-  "#d98bb8",
-  "#c9c9c9",
-];
 const MOST_EVENTS = 200;
 
 export const state = {
@@ -103,7 +93,7 @@ export const nameOf = (robot) => (typeof robot === "number" ? (state.names[robot
 export const selected = () => (state.list.pair ? state.list.pair.map(nameOf) : null);
 
 export const markerColour = (n) => {
-  const markers = state.welcome?.colours?.markers ?? MARKERS;
+  const { markers } = state.welcome.colours; // nothing is marked before it has come
   return markers[(Math.max(1, n) - 1) % markers.length];
 };
 
@@ -114,13 +104,13 @@ export function addEvent(event) {
   changed("events");
 }
 
-/** What is broken, or null: the leg, since how many seconds. */
+/** What is broken, or null: the leg, since how many seconds; infinitely many if it was never whole. */
 export function broken() {
   const { link, health } = state;
   const silent = (performance.now() - link.heardAt) / 1000;
   if (!link.open || silent > 3) return { leg: "page", age: (health ? health.age_s || 0 : 0) + silent };
   if (health?.server !== "gone") return null;
-  return { leg: "server", age: (health.age_s ?? 0) + (performance.now() - link.healthAt) / 1000 };
+  return { leg: "server", age: (health.age_s ?? Infinity) + (performance.now() - link.healthAt) / 1000 };
 }
 
 export const ageText = (seconds) =>
