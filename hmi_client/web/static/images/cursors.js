@@ -15,7 +15,7 @@ export function startCursors(reveal) {
 function follow() {
   const { list, assist } = state;
   once("pair", list.pair, () => (state.current = null));
-  once("half", list.half?.side, () => activate(list.half ? 1 - list.half.side : state.active));
+  once("half", list.half?.side, () => activate(list.half ? 1 - list.half.side : 0));
   if (state.images[assist.side])
     once(
       "guess",
@@ -35,7 +35,8 @@ function once(what, value, deed) {
   deed();
 }
 
-function activate(side) {
+/** Keys work in a side's image from now on. */
+export function activate(side) {
   state.active = side;
   changed("active");
 }
