@@ -39,7 +39,6 @@ class PageFingers:
         """Presses keys, named as `arrow_keys` does or as the browser does."""
         for key in keys:
             self.keys += 1
-            print(key, end=" ", flush=True)
             self._page.keyboard.press(_named(key))
 
     def answer(self, points: int, by_hand: bool) -> tuple[str, str]:
