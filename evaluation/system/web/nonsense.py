@@ -64,7 +64,8 @@ def _cut_short(chance: random.Random) -> str:
 
 
 def _not_a_number(chance: random.Random) -> str:
-    return '{"do":"cursor","side":0,"pixel":[%s,1]}' % chance.choice(("NaN", "Infinity", "1e999"))
+    number = chance.choice(("NaN", "Infinity", "1e999"))
+    return f'{{"do":"cursor","side":0,"pixel":[{number},1]}}'
 
 
 _KINDS: tuple[Callable[[random.Random], str | bytes], ...] = (

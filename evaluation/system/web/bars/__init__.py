@@ -5,6 +5,7 @@ from collections.abc import Callable
 from fleetpose.evaluation.system.web.bars.gate import who_is_let_in
 from fleetpose.evaluation.system.web.bars.keyboard import without_a_pointer
 from fleetpose.evaluation.system.web.bars.picks import exactly_picked
+from fleetpose.evaluation.system.web.bars.reconnect import after_troubles
 from fleetpose.evaluation.system.web.bars.speed import shown_and_confirmed
 from fleetpose.evaluation.system.web.bench import Bench
 from fleetpose.evaluation.system.web.rows import Row
@@ -13,5 +14,6 @@ BARS: dict[int, Callable[[Bench], list[Row]]] = {
     1: shown_and_confirmed,
     2: exactly_picked,
     5: without_a_pointer,
+    7: after_troubles,
     9: who_is_let_in,
 }

@@ -48,7 +48,7 @@ def _joined(bench: Bench, by_hand: bool, most: int) -> list[Row]:
 
 
 def _tab_leaves_every_panel(bench: Bench, page: Any) -> list[Row]:
-    """Tab goes through all panels and comes round; while a suggestion takes it, Esc gives it back."""
+    """Tab goes through all panels and comes round."""
     hands.open_pair(page)
     seen: list[str] = []
     longest = run = 0

@@ -1,10 +1,12 @@
 // Where the crosses go by themselves: to the guess after the first click, to what is suggested, to a
-// point that does not fit, and to a point of the list. Each only once, so that arrows can correct it.
+// point that does not fit, and to a point of the list. Each only once, so that arrows can correct it;
+// a guess that comes after the hand has moved the cross does not take it away.
 
 import { state, watch, react, changed } from "../link/store.js";
 import { moveCursor } from "../link/commands.js";
 
 const last = { pair: "", half: "", guess: "", suggestion: "", wrong: "" };
+let leftAt = ""; // where the other cross was when half a point was picked
 
 /** Follows lists and assistance. */
 export function startCursors(reveal) {
@@ -15,17 +17,22 @@ export function startCursors(reveal) {
 function follow() {
   const { list, assist } = state;
   once("pair", list.pair, () => (state.current = null));
-  once("half", list.half?.side, () => activate(list.half ? 1 - list.half.side : 0));
-  if (state.images[assist.side])
-    once(
-      "guess",
-      assist.expected,
-      () => assist.expected?.pixel && moveCursor(assist.side, assist.expected.pixel),
-    );
+  once("half", list.half?.side, () => {
+    activate(list.half ? 1 - list.half.side : 0);
+    leftAt = String(state.cursors[state.active] ?? "");
+  });
+  if (state.images[assist.side]) once("guess", assist.expected, () => toGuess(assist));
   if (state.images[0] && state.images[1]) {
     once("suggestion", assist.suggestion, () => assist.suggestion && both(assist.suggestion, 1));
     once("wrong", assist.wrong, () => assist.wrong && toPoint(assist.wrong.id, assist.wrong.side));
   }
+}
+
+function toGuess({ side, expected }) {
+  const untouched = !leftAt || String(state.cursors[side] ?? "") === leftAt;
+  if (!expected?.pixel || !untouched) return;
+  moveCursor(side, expected.pixel);
+  leftAt = String(state.cursors[side]);
 }
 
 function once(what, value, deed) {
