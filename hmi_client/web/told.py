@@ -203,6 +203,12 @@ def points(desk: Desk) -> Frame:
         "kept": session.unconfirmed,
         "confirmed": session.confirmed,
         "others": list(others),
+        "elsewhere": {
+            name: list(pair)
+            for pair, names in session.others().items()
+            for name in names
+            if pair != session.pair
+        },
         "undo": undo,
         "redo": redo,
         "words": describe_cell(session) if session.pair else "",

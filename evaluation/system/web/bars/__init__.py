@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from fleetpose.evaluation.system.web.bars.gate import who_is_let_in
 from fleetpose.evaluation.system.web.bars.keyboard import without_a_pointer
+from fleetpose.evaluation.system.web.bars.operators import side_by_side
 from fleetpose.evaluation.system.web.bars.picks import exactly_picked
 from fleetpose.evaluation.system.web.bars.reconnect import after_troubles
 from fleetpose.evaluation.system.web.bars.speed import shown_and_confirmed
@@ -15,5 +16,6 @@ BARS: dict[int, Callable[[Bench], list[Row]]] = {
     2: exactly_picked,
     5: without_a_pointer,
     7: after_troubles,
+    8: side_by_side,
     9: who_is_let_in,
 }
