@@ -50,6 +50,8 @@ _PLAIN = (
     ),
     (r"gravely off with a probability of ([\d.]+)%.*", r"\1 % likely to be gravely off"),
     (r"^(\d+) matches, need (\d+)$", r"only \1 image features are alike, \2 are needed"),
+    (r"correspondence \d+ of \S+, \S+ is not there", "somebody has erased it meanwhile"),
+    (r"correspondence \d+ was changed meanwhile: .*", "somebody has moved it meanwhile"),
     (r"not joined to the anchor", "a separate group: not joined to the origin"),
 )
 

@@ -73,7 +73,7 @@ def notice(text: str, tone: Tone = "warn") -> Frame:
 
 def event(text: str, at_ms: int) -> Frame:
     """Something that happened, and when; milliseconds since 1970."""
-    return {"t": "event", "at_ms": at_ms, "text": text, "tone": ""}
+    return {"t": "event", "at_ms": at_ms, "text": plain(text), "tone": ""}
 
 
 def cursor(side: int, pixel: PixelUV) -> Frame:

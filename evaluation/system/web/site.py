@@ -33,6 +33,7 @@ class WebSite:
         out: folder for logs, notes and what the bridge keeps; emptied before.
         image_hz: of each image that is wanted.
         points: correspondences that the stand-in has for a pair whose images are held.
+        questions: that are asked, two at most.
 
     Raises:
         FleetPoseError: on entering, a process does not start.
@@ -47,6 +48,7 @@ class WebSite:
         out: Path = Path("out"),
         image_hz: float = 5.0,
         points: int = 0,
+        questions: int = 2,
     ) -> None:
         self.robots, self.out = robots, out
         self._told = {
@@ -54,6 +56,7 @@ class WebSite:
             "--rate": rate_hz,
             "--image-rate": image_hz,
             "--points": points,
+            "--questions": questions,
         }
         self._notes = out / "updates.jsonl"
         self._port = free_port()

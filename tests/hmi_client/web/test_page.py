@@ -35,7 +35,8 @@ STATES = {
     "without-image": scenes.without_image,
     "many": scenes.many,
 }
-AUDIT = (Path(__file__).parent / "audit.js").read_text()
+STATES_OF_EVALUATION = Path(__file__).parents[3] / "evaluation" / "system" / "web" / "states"
+AUDIT = (STATES_OF_EVALUATION / "audit.js").read_text()
 SETTLED = """document.fonts.ready.then(() => new Promise((done) =>
     requestAnimationFrame(() => requestAnimationFrame(() => requestAnimationFrame(done)))))"""
 FOCUSED = """document.activeElement.closest('section,header')?.id
@@ -193,7 +194,7 @@ def test_a_wrong_click_splits_the_loupe_and_offers_to_move_or_erase(opened, brid
 
 def test_without_a_server_all_is_greyed_and_stamped_and_the_broken_leg_is_named(opened):
     page = opened(scenes.gone())
-    assert page.inner_text("#bar h1") == "No server. Your 2 clicks are kept"
+    assert page.inner_text("#bar h1") == "NO SERVER"
     assert "silent 14 s" in page.inner_text(".legs") or "silent 15 s" in page.inner_text(".legs")
     stamps = [s for s in page.locator(".panel .stamp").all() if s.is_visible()]
     assert len(stamps) >= 7

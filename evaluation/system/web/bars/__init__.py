@@ -8,6 +8,7 @@ from fleetpose.evaluation.system.web.bars.operators import side_by_side
 from fleetpose.evaluation.system.web.bars.picks import exactly_picked
 from fleetpose.evaluation.system.web.bars.reconnect import after_troubles
 from fleetpose.evaluation.system.web.bars.speed import shown_and_confirmed
+from fleetpose.evaluation.system.web.bars.states import as_it_is_told, how_it_looks
 from fleetpose.evaluation.system.web.bench import Bench
 from fleetpose.evaluation.system.web.rows import Row
 
@@ -17,5 +18,7 @@ BARS: dict[int, Callable[[Bench], list[Row]]] = {
     5: without_a_pointer,
     7: after_troubles,
     8: side_by_side,
+    6: how_it_looks,
     9: who_is_let_in,
+    12: as_it_is_told,
 }

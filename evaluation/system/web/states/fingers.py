@@ -88,20 +88,28 @@ class PageFingers:
 
     # ---- by hand ---------------------------------------------------------------------------------
 
-    def by_hand(self) -> None:
+    def by_hand(self, off_px: float = 0.0) -> None:
         """One point: a label in the left image, then what is expected in the right one, corrected
         from there or from the nearest label.
+
+        Args:
+            off_px: how far to the right of its place the second half is picked by mistake.
         """
+        where = self.half() + np.array((off_px, 0.0))
+        if len(self._off(where)) > LABEL_KEYS:
+            self._go(lambda place: -float(np.linalg.norm(where - place)))
+        self.press(*self._off(where), "Space")
+        self._wait(f"state.list.points.filter((p) => p.id !== null).length >= {len(self.picked)}")
+
+    def half(self) -> Floats:
+        """The left half of a point; returns where the right image shows it, (2,)."""
         if self._knows("active") != 0:
             self.press("4")
         where = self._go_where_both_see()
         self.press("Space")
         self._wait("state.list.half && state.active === 1")
         self._page.wait_for_timeout(GUESS_MS)
-        if len(self._off(where)) > LABEL_KEYS:
-            self._go(lambda place: -float(np.linalg.norm(where - place)))
-        self.press(*self._off(where), "Space")
-        self._wait(f"state.list.points.filter((p) => p.id !== null).length >= {len(self.picked)}")
+        return where
 
     def _off(self, where: Floats) -> list[str]:
         """The arrows that bring the right cross there."""

@@ -63,15 +63,14 @@ function goneStep({ leg, age }) {
       ? `What you see is ${ageText(age)} old · nothing to do but wait`
       : "Nothing was heard yet";
   if (leg === "page") return pageGone(clicks, old, age);
+  const { step } = state;
+  const told = step?.tone === "gone";
   return {
     tone: "warn",
     kick: old,
-    title: `No server. ${clicks}`,
+    title: told ? step.title : `No server. ${clicks}`,
     legs: [null, age],
-    facts: [
-      ["What happens now", "Clicks are sent once it is back, even if you close this page."],
-      ["If it stays away", `Is pose-server run running on ${state.health.address || "its machine"}?`],
-    ],
+    facts: told ? step.facts.map(fact) : [],
     actions: [{ do: "events", label: "What was last confirmed" }],
   };
 }
@@ -102,10 +101,8 @@ function overviewStep() {
   const title = lost.length
     ? `${lost.length} of ${plural(n, "robot")} ${lost.length === 1 ? "is" : "are"} missing`
     : `All ${plural(n, "robot")} are located`;
-  const facts = [
-    ["What you see", "Dark is little error, light is much, brown is hidden or rejected."],
-    ["What to do", "Take the questions in their order, or select any cell."],
-  ];
+  const facts = [["What you see", "Dark is little error, light is much, brown is hidden or rejected."]];
+  if (state.step) facts.push(["What to do", state.step.title]);
   if (lost.length)
     facts.unshift(["Missing", `${listed(lost)} ${lost.length === 1 ? "is" : "are"} not joined.`]);
   const next = state.questions.length ? [{ do: "next", label: "First question", primary: true }] : [];
