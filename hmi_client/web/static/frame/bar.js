@@ -86,7 +86,10 @@ function facts(step) {
 }
 
 /** A first letter is large, except of a robot's name. */
-const sentence = (text) => text.replace(/^[a-z]/, (c) => (/^[a-z]\d/.test(text) ? c : c.toUpperCase()));
+const sentence = (text) =>
+  state.names.includes(/^[\w-]*/.exec(text)[0]) ? text : text.replace(/^[a-z]/, (c) => c.toUpperCase());
+/** What a key does, "picks", as what a button is told, "Pick". */
+const order = (text) => sentence(text.replace(/^goes\b/, "go").replace(/^(?!yes\b)([a-z]+)s\b/, "$1"));
 /** A number and its unit stay on one line. */
 const kept = (text) => text.replace(/(\d) (?=(?:%|m|cm|s|px)(?:[ .,;)]|$))/g, "$1\u00a0");
 
@@ -107,7 +110,7 @@ function legs([page, server]) {
 function actionButton(action) {
   const taken = action.do === "accept" && !state.assist.suggestion; // Tab is the browser's until a suggestion is shown
   const key = taken ? "Enter" : keyOf(action.do) || action.key;
-  const node = button(`button${action.primary ? " primary" : ""}`, sentence(action.label), key, () =>
+  const node = button(`button${action.primary ? " primary" : ""}`, order(action.label), key, () =>
     run(action.do, action.args ?? {}),
   );
   node.dataset.deed = action.do;

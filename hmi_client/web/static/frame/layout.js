@@ -110,7 +110,7 @@ function arrange() {
     place(
       document.getElementById(id),
       small.matches && mode !== "over" ? left : middle,
-      id === "pair" && !small.matches && mode !== "over" && mode !== "idle" ? events : null,
+      id === "matrix" ? middle.firstElementChild : mode !== "over" && mode !== "idle" ? events : null,
     );
   save();
   want();
