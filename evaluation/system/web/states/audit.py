@@ -11,7 +11,7 @@ from fleetpose.hmi_client.desk.advice import Action, Step
 from fleetpose.hmi_client.tui.panels.status_panel import do_lines, fitting
 
 CONTRAST, TARGET_PX = 4.5, 44
-_SCRIPT = Path(__file__).with_name("audit.js").read_text()
+SCRIPT = Path(__file__).with_name("audit.js").read_text().strip()
 _WIDE = 10_000  # columns: all facts
 _FACTS = """() => [...document.querySelectorAll('#bar .facts > div:not(.legs-fact)')].map(
     (node) => [...node.children].map((part) => part.textContent))"""
@@ -21,16 +21,9 @@ def faults(page: Any, tablet: bool) -> dict[str, list[str]]:
     """Faults by their kind: contrast below 4.5:1, texts that are cut, scroll bars of the page, and
     on a tablet targets below 44 px.
     """
-    found = {
-        "contrast": page.evaluate(_SCRIPT_OF.format("contrast", CONTRAST)),
-        "cut": page.evaluate(_SCRIPT_OF.format("cut", 0)),
-        "scroll bars": page.evaluate(_SCRIPT_OF.format("scroll bars", 0)),
-    }
-    small = page.evaluate(_SCRIPT_OF.format("targets", TARGET_PX)) if tablet else []
-    return found | {"targets": small}
-
-
-_SCRIPT_OF = f"() => ({_SCRIPT.strip().replace('{', '{{').replace('}', '}}')})('{{}}', {{}})"
+    limits = {"contrast": CONTRAST, "cut": 0, "scroll bars": 0}
+    limits |= {"targets": TARGET_PX} if tablet else {}
+    return {what: page.evaluate(f"() => ({SCRIPT})('{what}', {at})") for what, at in limits.items()}
 
 
 @dataclass(frozen=True)
