@@ -75,12 +75,16 @@ class Desk(DeskState):
         self.hints = None
 
     def _do_pick(
-        self, side: object = None, pixel: object = None, seen: Picture | None = None
+        self,
+        side: object = None,
+        pixel: object = None,
+        seen: Picture | None = None,
+        beside: Picture | None = None,
     ) -> None:
         here = self._turn(side)
         if pixel is not None:
             self._put(here, _pixel(pixel))
-        ticket = self.session.pick(here, self.cursor(here), seen)
+        ticket = self.session.pick(here, self.cursor(here), seen, beside)
         self.side, self.hints = 1 - here if ticket is None else 0, None
         self.done["picked"] += ticket is not None
         self._expect()

@@ -179,16 +179,15 @@ class ImageBuffer:
         return any(f.keeping == "not kept" for f in (self._frozen or {}).values())
 
     def freeze(
-        self, now_s: float, seen: Picture | None = None, without_server: bool = False
+        self, now_s: float, seen: Sequence[Picture] = (), without_server: bool = False
     ) -> None:
-        """Holds what is shown; `seen` is what the operator has before the eyes, which may be one
-        picture behind.
+        """Holds what is shown; `seen` is what the operator has before the eyes, which may be some
+        pictures behind.
         """
         if self._frozen is not None:
             return
         pictures = {robot: self.shown(robot, without_server) for robot in self.pair}
-        if seen is not None:
-            pictures[seen.view.robot] = seen
+        pictures |= {p.view.robot: p for p in seen if p.view.robot in pictures}
         self._frozen = {
             robot: Frozen(picture, self.is_taken(picture.view), now_s)
             for robot, picture in pictures.items()

@@ -146,7 +146,7 @@ class OperatorSession(FleetModel):
         """
         with self._changed:
             if self.pair is not None and not self.frozen:
-                self._gallery.freeze(self.clock(), seen, self.silent)
+                self._gallery.freeze(self.clock(), () if seen is None else (seen,), self.silent)
                 self._bump("selection", "pictures")
 
     def release(self) -> None:
@@ -162,7 +162,13 @@ class OperatorSession(FleetModel):
 
     # ---- correspondences -------------------------------------------------------------------------
 
-    def pick(self, side: int, pixel: PixelUV, seen: Picture | None = None) -> Ticket | None:
+    def pick(
+        self,
+        side: int,
+        pixel: PixelUV,
+        seen: Picture | None = None,
+        beside: Picture | None = None,
+    ) -> Ticket | None:
         """Picks in the picture of robot i (side 0) or j (side 1).
 
         The first pick freezes both pictures, since a correspondence belongs to two moments; a
@@ -172,6 +178,7 @@ class OperatorSession(FleetModel):
             side: which picture.
             pixel: where.
             seen: the picture that the operator has before the eyes; default: the newest one.
+            beside: the same of the other robot.
 
         Returns:
             The ticket of the completed correspondence, none after the first half.
@@ -185,7 +192,8 @@ class OperatorSession(FleetModel):
             picture = self._pickable(self.pair[side], seen)
             this = HalfPick(side, picture.view, pixel)
             if self.half is None or self.half.side == side:
-                self._gallery.freeze(self.clock(), picture, self.silent)
+                before_eyes = (picture,) if beside is None else (picture, beside)
+                self._gallery.freeze(self.clock(), before_eyes, self.silent)
                 self.half = this
                 self._bump("selection", "pictures")
                 return None

@@ -8,10 +8,12 @@ import asyncio
 import contextlib
 import json
 import logging
+import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping
 
 import anyio
+import anyio.to_thread
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from fleetpose.hmi_client.web import frames, outlook, told
@@ -37,6 +39,7 @@ class Page:
 
     def __init__(self, socket: WebSocket, link: DeskLink, counts: Counter[str]) -> None:
         self.images, self.matrix, self.clouds = True, True, False
+        self.drawn: list[int | None] = [None, None]  # images that are before the eyes
         self._socket, self._link, self._counts = socket, link, counts
         self._loop, self._woken = asyncio.get_running_loop(), asyncio.Event()
         self._own: list[str] = []
@@ -44,6 +47,7 @@ class Page:
         self._sent_clouds: dict[str, tuple[int, int, int]] = {}
         self._sent_images: list[tuple[object, int] | None] = [None, None]
         self._unseen: list[int | None] = [None, None]
+        self._sent_s, self._thrift = [0.0, 0.0], outlook.Thrift()
         self._event = 0
 
     # ---- for the desk, from any thread -----------------------------------------------------------
@@ -125,7 +129,8 @@ class Page:
     def _drawn(self, args: Mapping[str, int]) -> None:
         side, view = args.get("side"), args.get("view")
         if side is not None and self._unseen[side] == view:
-            self._unseen[side] = None
+            self._unseen[side], self.drawn[side] = None, view
+            self._thrift.drawn(time.monotonic() - self._sent_s[side])
             self._woken.set()
 
     # ---- sending ---------------------------------------------------------------------------------
@@ -173,7 +178,11 @@ class Page:
             return
         self._sent_images[side] = shown.pair, shown.id
         self._unseen[side] = shown.id
-        await self._socket.send_bytes(frames.image(side, shown.id, shown.picture))
+        picture, quality = shown.picture, self._thrift.quality
+        if quality < 100:
+            picture = await anyio.to_thread.run_sync(outlook.compressed, picture, quality)
+        self._sent_s[side] = time.monotonic()
+        await self._socket.send_bytes(frames.image(side, shown.id, picture))
 
     async def _send_cloud(self) -> None:
         """The points of one robot; those of the next follow when what is more urgent is out."""

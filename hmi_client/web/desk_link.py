@@ -31,6 +31,7 @@ LOOK_S = 0.25  # at the longest: silence has no event
 FLEET_S = 0.5  # between two matrices, and two maps
 HEALTH_S = 1.0
 EVENTS_KEPT = 50
+_URGENT = ("server", "kept", "unconfirmed", "confirmed", "robots")
 _TOPICS: tuple[Topic, ...] = tuple(
     topic for part in get_args(Topic) for topic in (get_args(part) or (part,))
 )
@@ -46,6 +47,7 @@ class Guest(Protocol):
     images: bool
     matrix: bool
     clouds: bool
+    drawn: list[int | None]
 
     def wake(self) -> None:
         """There is something new to be sent."""
@@ -194,6 +196,10 @@ class DeskLink:
         if heard.do == "go" and "pixel" in args:
             desk.do("cursor", side=args.get("side"), pixel=args.pop("pixel"))
         before = desk.cursor(0), desk.cursor(1)
+        if heard.do == "pick":
+            side = args.get("side", desk.side)
+            args["beside"] = self.pictures.known(guest.drawn[1 - side])
+            self.outlook.renew("list")  # the page has drawn it already: it is told what came of it
         desk.do(heard.do, **args)
         for side in (0, 1):
             now = desk.cursor(side)
@@ -226,7 +232,7 @@ class DeskLink:
         if fresh(("fleet",)):
             changed |= put("names", told.names(desk)) | put("questions", told.questions(desk))
         changed |= put("step", told.step(desk))
-        if fresh(_LIST):
+        if fresh(_LIST) or self.outlook.value("list") is None:
             changed |= put("list", told.points(desk)) | put("pair", told.pair(desk))
         changed |= put("assist", told.assist(desk)) | put("clock", self.seat.clock())
         self._seen = revisions
@@ -260,7 +266,7 @@ class DeskLink:
         now = time.monotonic()
         health = told.health(desk, self._address)
         urgent = self.outlook.value("health") or {}
-        same = all(urgent.get(k) == health[k] for k in ("server", "kept", "unconfirmed", "robots"))
+        same = all(urgent.get(k) == health[k] for k in _URGENT)
         if same and now - self._health_s < HEALTH_S:
             return False
         self._health_s = now

@@ -4,8 +4,11 @@ what it has not sent yet.
 
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
+
+import cv2
+import numpy as np
 
 from fleetpose.hmi_client.desk.desk import Desk
 from fleetpose.hmi_client.errors import OperatorError
@@ -16,6 +19,8 @@ from fleetpose.protocol.messages import ViewName
 ORDER = ("names", "list", "step", "assist", "pair", "questions", "health", "clock")
 """In which text frames are sent; the images of a pair come behind its list."""
 FLEET = ("matrix", "poses")
+QUALITIES = (100, 60, 35, 20)  # of JPEGs, the more the slower a page's link is
+SLOW_S, QUICK_S = 0.6, 0.15  # until an image is drawn; a step of quality is less than between them
 KEPT = 24  # pictures: a page is one or two behind
 
 
@@ -33,6 +38,10 @@ class Outlook:
             return False
         self._values[name] = frame
         return self._take(name, told.text_of(frame))
+
+    def renew(self, name: str) -> None:
+        """The next text frame of this kind goes out also where it is as before."""
+        self._values.pop(name, None)
 
     def put_fleet(self, desk: Desk) -> bool:
         """Makes matrix and map; whether one has changed."""
@@ -105,6 +114,10 @@ class Pictures:
             raise OperatorError("that image has gone: look at the newest one and pick again")
         return self._kept[id]
 
+    def known(self, id: int | None) -> Picture | None:
+        """The picture that a page calls by a number; none if it was too long ago."""
+        return None if id is None else self._kept.get(id)
+
     def _of(self, desk: Desk, side: int) -> Shown | None:
         picture, pair = desk.picture(side), desk.session.pair
         if picture is None or pair is None:
@@ -117,3 +130,32 @@ class Pictures:
                 _, old = self._kept.popitem(last=False)
                 del self._numbers[old.view]
         return Shown(self._numbers[picture.view], pair, picture)
+
+
+class Thrift:
+    """Images for a page with a slow link: of the same size, so that picks stay exact, but
+    compressed more, so that what is seen is not old and clicks need not wait behind it.
+    """
+
+    def __init__(self) -> None:
+        self._level = 0
+
+    @property
+    def quality(self) -> int:
+        """Of JPEGs; 100 leaves them untouched."""
+        return QUALITIES[self._level]
+
+    def drawn(self, took_s: float) -> None:
+        """The page has drawn an image so long after it was sent."""
+        step = 1 if took_s > SLOW_S else -1 if took_s < QUICK_S else 0
+        self._level = min(max(self._level + step, 0), len(QUALITIES) - 1)
+
+
+def compressed(picture: Picture, quality: int) -> Picture:
+    """A picture in fewer bytes; the same one where they would not be fewer."""
+    image = cv2.imdecode(np.frombuffer(picture.jpeg, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        return picture
+    done, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    smaller = done and len(jpeg) < len(picture.jpeg)
+    return replace(picture, jpeg=jpeg.tobytes()) if smaller else picture

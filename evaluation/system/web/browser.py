@@ -3,6 +3,7 @@
 import contextlib
 import shutil
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
@@ -86,6 +87,7 @@ class Browser:
         dpr: float = 1.0,
         touch: bool = False,
         wait: bool = True,
+        before: Callable[[Any], None] = lambda _: None,
     ) -> Any:
         """A page of a context of its own, once it says that it is connected.
 
@@ -95,6 +97,7 @@ class Browser:
             dpr: pixels of the screen per CSS pixel.
             touch: whether it has fingers.
             wait: whether to wait until it is connected.
+            before: called with the page before it loads anything.
 
         Raises:
             FleetPoseError: it is not, within 20 s.
@@ -105,6 +108,7 @@ class Browser:
         )
         page = context.new_page()
         self._record(page, address)
+        before(page)
         page.goto(address)
         if wait and not became(page, _CONNECTED, timeout_s=_CONNECTED_WITHIN_S):
             said = page.inner_text("#link")

@@ -7,7 +7,7 @@ from pathlib import Path
 from fleetpose.evaluation.options.building import numbers
 from fleetpose.evaluation.options.web import WebOptions
 from fleetpose.evaluation.report.output import cell, output_folder, progress_bar, write_summary
-from fleetpose.evaluation.system.web.bars import BARS
+from fleetpose.evaluation.system.web.bars import BARS, SITES
 from fleetpose.evaluation.system.web.bench import Bench
 from fleetpose.evaluation.system.web.browser import Browser, NoBrowserError, chromium
 from fleetpose.evaluation.system.web.rows import Row, all_met, unmeasured
@@ -74,7 +74,8 @@ def measured(
     folder.mkdir(parents=True, exist_ok=True)
     try:
         said("starting")
-        with WebSite(options.robots, out=folder / "site") as site, Browser() as browser:
+        site_of = WebSite(options.robots, out=folder / "site", **SITES.get(bar, {}))
+        with site_of as site, Browser() as browser:
             return BARS[bar](Bench(site, browser, folder, options, said))
     except (FleetPoseError, Error) as error:
         why = str(error).partition("\n")[0]

@@ -54,3 +54,29 @@ def click_image(page: Any, side: int, x: float = 0.5, y: float = 0.5) -> None:
     """Brings the cross of a side by a click in its image; the place as shares of its size."""
     box = page.locator(f"{SIDES[side]} canvas.photo").bounding_box()
     page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+
+
+def count_images(page: Any) -> None:
+    """Counts the images of both sides from now on, in the page."""
+    page.evaluate(_COUNT)
+
+
+def images_seen(page: Any) -> int:
+    """How many were drawn since `count_images`."""
+    return page.evaluate("() => window.imagesSeen")
+
+
+_COUNT = f"""async () => {{
+    const {{ state }} = await import('{STORE}');
+    const last = [null, null];
+    window.imagesSeen = 0;
+    const look = () => {{
+        for (const side of [0, 1]) {{
+            const view = state.images[side]?.view ?? null;
+            if (view !== null && view !== last[side]) window.imagesSeen += 1;
+            last[side] = view;
+        }}
+        requestAnimationFrame(look);
+    }};
+    look();
+}}"""

@@ -7,20 +7,16 @@ the browser gives it before any script runs.
 
 from typing import Any
 
-from fleetpose.evaluation.system.web.browser import became
-
 SETUP = """async () => {
     if (window.probe) return;
     const { state } = await import('/static/link/store.js');
-    const probe = (window.probe = { armed: null, gaps: [[], []] });
+    const probe = (window.probe = { armed: null, gaps: [[], []], views: [[], []] });
     const drawn = (context, kind, args) => {
         const armed = probe.armed;
         if (!armed || armed.drawn || !armed.at || context.canvas !== armed.canvas) return;
         if (!armed.fits(kind, args)) return;
         armed.drawn = true;
-        requestAnimationFrame(() => {
-            armed.shown_ms = performance.now() - armed.at;
-        });
+        requestAnimationFrame(() => armed.say.shown(performance.now() - armed.at));
     };
     for (const kind of ['fillText', 'drawImage']) {
         const own = CanvasRenderingContext2D.prototype[kind];
@@ -47,7 +43,9 @@ SETUP = """async () => {
     probe.arm = (what, event, side) => {
         const canvas = canvasOf(side, 'loupe');
         const fits = what === 'mark' ? MARK(`${nextNumber()}`) : MOVE(canvas.lastDrawn ?? [0, 0]);
-        const armed = (probe.armed = { canvas, event, fits, side });
+        const armed = (probe.armed = { canvas, event, fits, side, say: {} });
+        for (const name of ['shown', 'confirmed'])
+            armed[name] = new Promise((done) => (armed.say[name] = done));
         if (what !== 'mark') return;
         const confirmed = () => {
             if (probe.armed !== armed) return;
@@ -58,9 +56,7 @@ SETUP = """async () => {
             const found = state.list.points.find(
                 (p) => p[key] && Math.hypot(p[key][0] - pu, p[key][1] - pv) < 0.01);
             if (found && !['half', 'pending'].includes(found.status)) {
-                requestAnimationFrame(() => {
-                    armed.confirmed_ms = performance.now() - armed.at;
-                });
+                requestAnimationFrame(() => armed.say.confirmed(performance.now() - armed.at));
             } else requestAnimationFrame(confirmed);
         };
         requestAnimationFrame(confirmed);
@@ -72,13 +68,20 @@ SETUP = """async () => {
             if (view === null || view === seen[side]?.view) continue;
             if (seen[side]) probe.gaps[side].push(now - seen[side].now);
             seen[side] = { view, now };
+            probe.views[side].push([view, performance.timeOrigin + now]);
         }
         requestAnimationFrame(look);
     };
     requestAnimationFrame(look);
 }"""
 _ARM = "([what, event, side]) => window.probe.arm(what, event, side)"
-_DONE = "(name) => window.probe.armed?.[name] !== undefined"
+_TAKE = """(name) => {
+    const taken = window.probe[name];
+    window.probe[name] = [[], []];
+    return taken;
+}"""
+_TAKEN_MS = """([name, most_ms]) => Promise.race([
+    window.probe.armed[name], new Promise((late) => setTimeout(() => late(null), most_ms))])"""
 
 
 class Probe:
@@ -100,21 +103,22 @@ class Probe:
 
     def shown_ms(self, timeout_s: float = 3.0) -> float | None:
         """How long it took until the effect was shown; None if it was not."""
-        return self._read("shown_ms", timeout_s)
+        return self._read("shown", timeout_s)
 
     def confirmed_ms(self, timeout_s: float = 10.0) -> float | None:
         """How long it took until the point was shown as confirmed; None if it was not."""
-        return self._read("confirmed_ms", timeout_s)
+        return self._read("confirmed", timeout_s)
 
     def gaps_s(self) -> list[float]:
         """The times between two images of a side since the last call."""
-        gaps = self._page.evaluate(
-            "() => { const [a, b] = window.probe.gaps; window.probe.gaps = [[], []];"
-            " return [...a, ...b]; }"
-        )
-        return [gap / 1000 for gap in gaps]
+        return [gap / 1000 for side in self._page.evaluate(_TAKE, "gaps") for gap in side]
+
+    def views(self) -> tuple[list[tuple[int, float]], list[tuple[int, float]]]:
+        """Of each side: the numbers of the images that were shown since the last call, and when, in
+        ms of the machine's clock.
+        """
+        left, right = self._page.evaluate(_TAKE, "views")
+        return [tuple(one) for one in left], [tuple(one) for one in right]
 
     def _read(self, name: str, timeout_s: float) -> float | None:
-        if not became(self._page, _DONE, name, timeout_s):
-            return None
-        return float(self._page.evaluate("(name) => window.probe.armed[name]", name))
+        return self._page.evaluate(_TAKEN_MS, [name, 1000 * timeout_s])

@@ -29,7 +29,7 @@ class Hand:
         """A point: its halves left and right, until it is confirmed."""
         for side in (0, 1):
             self._to_place(side)
-            self._pick(side, by_key)
+            self.pick(side, by_key)
         took_ms = self.probe.confirmed_ms()
         self.confirmed_ms.append(LOST_MS if took_ms is None else took_ms)
         self._pause()
@@ -40,13 +40,18 @@ class Hand:
         self.page.keyboard.press(self._chance.choice(("ArrowLeft", "ArrowRight")))
         self._note(self.key_ms)
 
+    def activate(self, side: int) -> None:
+        """Makes a side the one that keys work at, without moving its cross."""
+        self.page.focus(hands.SIDES[side])
+
     def _to_place(self, side: int) -> None:
         self.probe.arm("move", "pointerup", side)
         hands.click_image(self.page, side, *self._anywhere())
         self._note(self.click_ms)
         self._pause()
 
-    def _pick(self, side: int, by_key: bool) -> None:
+    def pick(self, side: int, by_key: bool) -> None:
+        """Half a point, until it is drawn."""
         self.probe.arm("mark", "keydown" if by_key else "pointerup", side)
         if by_key:
             self.page.keyboard.press("Space")

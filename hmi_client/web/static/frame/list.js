@@ -19,7 +19,8 @@ let byResidual = false;
 
 /** Draws the panel on each change, its rows also on scrolling. */
 export function startList() {
-  watch(["list", "pair", "questions", "assist", "names", "mode", "link", "welcome", "why"], draw);
+  watch(["pair"], () => panel.classList.contains("questions") || drawVerdict());
+  watch(["list", "questions", "assist", "names", "mode", "link", "welcome", "why"], draw);
   rows.addEventListener("scroll", () => drawRows(), { passive: true });
   new ResizeObserver(() => drawRows()).observe(rows);
 }

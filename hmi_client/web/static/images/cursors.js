@@ -6,7 +6,8 @@ import { state, watch, react, changed } from "../link/store.js";
 import { moveCursor } from "../link/commands.js";
 
 const last = { pair: "", half: "", guess: "", suggestion: "", wrong: "" };
-let leftAt = ""; // where the other cross was when half a point was picked
+
+let left = null; // where the cross of the other image was when half a point was picked
 
 /** Follows lists and assistance. */
 export function startCursors(reveal) {
@@ -19,20 +20,21 @@ function follow() {
   once("pair", list.pair, () => (state.current = null));
   once("half", list.half?.side, () => {
     activate(list.half ? 1 - list.half.side : 0);
-    leftAt = String(state.cursors[state.active] ?? "");
+    left = state.cursors[state.active];
   });
-  if (state.images[assist.side]) once("guess", assist.expected, () => toGuess(assist));
+  if (state.images[assist.side]) once("guess", assist.expected, () => guess(assist));
   if (state.images[0] && state.images[1]) {
     once("suggestion", assist.suggestion, () => assist.suggestion && both(assist.suggestion, 1));
     once("wrong", assist.wrong, () => assist.wrong && toPoint(assist.wrong.id, assist.wrong.side));
   }
 }
 
-function toGuess({ side, expected }) {
-  const untouched = !leftAt || String(state.cursors[side] ?? "") === leftAt;
-  if (!expected?.pixel || !untouched) return;
+/** A guess that comes late does not take the cross from where it was put meanwhile. */
+function guess({ side, expected }) {
+  const moved = left !== null && String(left) !== String(state.cursors[side]);
+  if (!expected?.pixel || moved) return;
   moveCursor(side, expected.pixel);
-  leftAt = String(state.cursors[side]);
+  left = state.cursors[side];
 }
 
 function once(what, value, deed) {

@@ -49,10 +49,9 @@ export class ImagePanel {
       }
     });
     new ResizeObserver(() => this.divide()).observe(this.pictures);
-    watch(
-      ["images", "list", "assist", "cursors", "active", "marks", "theme", "names", "link", "tick", "mode"],
-      () => this.draw(),
-    );
+    const fleet = ["list", "assist", "names", "link", "tick"];
+    const view = ["images", `image ${side}`, "cursors", "active", "marks", "theme", "mode"];
+    watch([...fleet, ...view], () => this.draw());
   }
 
   /** CSS pixels per image pixel. */

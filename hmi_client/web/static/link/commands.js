@@ -51,12 +51,24 @@ function aim(id) {
   return view === undefined || id === "erase" || id === "move" ? place : { ...place, view };
 }
 
-/** The first click of a pair is drawn at once, before anybody heard of it. */
+/** A click is drawn at once, before anybody heard of it; the list that answers it replaces it. */
 function echo({ side, pixel }) {
-  const half = state.list.half;
-  if (half && half.side !== side) return;
-  state.list = { ...state.list, half: { side, pixel } };
+  const { half, points } = state.list;
+  if (half && half.side !== side) {
+    const whole = points.filter((p) => p.status !== "half");
+    state.list = { ...state.list, half: null, points: [...whole, joined(half, { side, pixel })] };
+  } else state.list = { ...state.list, half: { side, pixel } };
   changed("list");
+}
+
+/** The point of two halves, as the bridge will tell it. */
+function joined(half, other) {
+  const { points } = state.list;
+  const known = points.find((p) => p.status === "half");
+  const [pi, pj] = half.side ? [other.pixel, half.pixel] : [half.pixel, other.pixel];
+  const unknown = { reason: null, residual_m: null, depth_i: null, depth_j: null, other_view: false };
+  const n = known?.n ?? 1 + Math.max(0, ...points.map((p) => p.n));
+  return { ...unknown, n, id: null, status: "pending", pi, pj, by: state.welcome?.operator };
 }
 
 /** Moves a cursor; the bridge hears the newest place before any other command. */

@@ -31,11 +31,13 @@ async function decode(side, { scale, view, jpeg }) {
 }
 
 function take(side, image) {
-  state.images[side]?.bitmap.close();
+  const before = state.images[side];
+  before?.bitmap.close();
   state.images[side] = image;
   const { half } = state.list;
   state.cursors[side] ??= half?.side === side ? half.pixel : [(image.width - 1) / 2, (image.height - 1) / 2];
-  changed("images");
+  if (before?.width === image.width && before.height === image.height) changed(`image ${side}`);
+  else changed("images");
   requestAnimationFrame(() => requestAnimationFrame(() => send({ do: "ack", side, view: image.view })));
 }
 

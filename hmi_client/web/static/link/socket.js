@@ -44,7 +44,8 @@ function lost(code) {
 /** Half a pick belongs to a connection: it must not be finished by a later click. */
 function dropHalf() {
   const { assist } = clearList();
-  state.list = { ...state.list, half: null };
+  state.list = { ...(state.told ?? state.list), half: null };
+  state.told = null;
   state.assist = assist;
   changed("list", "assist");
 }
@@ -85,6 +86,7 @@ const HEARD = {
   },
   list: (m) => {
     if (String(m.pair) !== String(state.list.pair)) dropImages();
+    state.told = m;
     put("list", m);
     selectAgain(m.pair);
   },

@@ -30,7 +30,8 @@ export const state = {
   names: [],
   origin: null,
   step: null,
-  list: NO_LIST,
+  list: NO_LIST, // with clicks that the bridge has not answered yet
+  told: null, // as the bridge told it
   assist: NO_ASSIST,
   pair: null,
   questions: [],
