@@ -1,7 +1,7 @@
 // The websocket: says hello, hears everything, comes back by itself. Nothing is queued while it is down.
 
 import { header, matrixOf, posesOf, cloudOf } from "./decode.js";
-import { state, put, changed, addEvent, clearList } from "./store.js";
+import { state, put, changed, addEvent, clearList, selected } from "./store.js";
 import { showImage, dropImages } from "./pictures.js";
 
 const FIRST_WAIT_MS = 100,
@@ -33,7 +33,7 @@ export function connect() {
 function lost(code) {
   state.link.open = false;
   state.link.refused = REFUSED[code] ?? "";
-  pairBefore = state.list.pair ?? pairBefore;
+  pairBefore = selected() ?? pairBefore;
   dropHalf();
   changed("link");
   if (code === 4401 || code === 4403) return;
