@@ -5,7 +5,6 @@ are enough, far enough apart, not on one line, and whether the distances between
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
@@ -103,32 +102,32 @@ class ClickedPoints:
         """Which of them are not as far apart in one image as in the other: of those in the same
         two views.
         """
-        live = [(n, e) for n, e in enumerate(entries, start=1) if is_live(e)]
-        found = [self.misfit(a.pick, b.pick, n, m) for (n, a), (m, b) in combinations(live, 2)]
-        return [misfit for misfit in found if misfit is not None]
+        known = [
+            (n, (e.pick.view_i, e.pick.view_j), *halves)
+            for n, e in enumerate(entries, start=1)
+            if is_live(e) and None not in (halves := self.lifted(e.pick))
+        ]
+        found: list[Misfit] = []
+        for views in dict.fromkeys(views for _, views, _, _ in known):
+            same = [(n, i, j) for n, of, i, j in known if of == views]
+            found += _misfits([(n, i, j) for n, i, j in same if i and j])
+        return sorted(found, key=lambda misfit: (misfit.a, misfit.b))
 
-    def misfit(self, a: Pick, b: Pick, n: int = 0, m: int = 0) -> Misfit | None:
+    def misfit(self, a: Pick, b: Pick) -> Misfit | None:
         """Whether two picks contradict each other; none where they agree, or nothing is known."""
-        if (a.view_i, a.view_j) != (b.view_i, b.view_j):
-            return None
         (a_i, a_j), (b_i, b_j) = self.lifted(a), self.lifted(b)
-        if a_i is None or a_j is None or b_i is None or b_j is None:
+        if (a.view_i, a.view_j) != (b.view_i, b.view_j) or not (a_i and a_j and b_i and b_j):
             return None
-        in_i = float(np.linalg.norm(a_i.point - b_i.point))
-        in_j = float(np.linalg.norm(a_j.point - b_j.point))
-        sigma = math.sqrt(sum(x.sigma_m**2 for x in (a_i, a_j, b_i, b_j)))
-        allowed = _SIGMAS * sigma + _SHARE * max(in_i, in_j)
-        return Misfit(n, m, in_i, in_j) if abs(in_i - in_j) > allowed else None
+        return next(iter(_misfits([(0, a_i, a_j), (1, b_i, b_j)])), None)
 
     def near(self, entries: Sequence[Entry]) -> tuple[int, int] | None:
         """The numbers of two points that are too near to each other in an image."""
         live = [(n, e) for n, e in enumerate(entries, start=1) if is_live(e)]
-        for (n, a), (m, b) in combinations(live, 2):
-            if (
-                math.dist(a.pick.pixel_i, b.pick.pixel_i) < NEAR_PX
-                or math.dist(a.pick.pixel_j, b.pick.pixel_j) < NEAR_PX
-            ):
-                return n, m
+        pixels = np.array([(e.pick.pixel_i, e.pick.pixel_j) for _, e in live]).reshape(-1, 2, 2)
+        for k in range(len(live) - 1):
+            apart = np.linalg.norm(pixels[k + 1 :] - pixels[k], axis=2).min(axis=1)
+            if (apart < NEAR_PX).any():
+                return live[k][0], live[k + 1 + int(np.argmax(apart < NEAR_PX))][0]
         return None
 
     def on_one_line(self, entries: Sequence[Entry]) -> bool:
@@ -210,6 +209,22 @@ class ClickedPoints:
 def is_live(entry: Entry) -> bool:
     """Whether an entry counts: it is neither rejected nor being erased."""
     return entry.status not in ("rejected", "erasing")
+
+
+def _misfits(points: Sequence[tuple[int, Lifted, Lifted]]) -> list[Misfit]:
+    """Of points in the same two views, each with its number: each beside all that follow."""
+    p_i = np.array([i.point for _, i, _ in points])
+    p_j = np.array([j.point for _, _, j in points])
+    variance = np.array([i.sigma_m**2 + j.sigma_m**2 for _, i, j in points])
+    found: list[Misfit] = []
+    for k in range(len(points) - 1):
+        in_i, in_j = (np.linalg.norm(p[k + 1 :] - p[k], axis=1) for p in (p_i, p_j))
+        sigma = np.sqrt(variance[k + 1 :] + variance[k])
+        allowed = _SIGMAS * sigma + _SHARE * np.maximum(in_i, in_j)
+        for m in map(int, np.flatnonzero(np.abs(in_i - in_j) > allowed)):
+            numbers = points[k][0], points[k + 1 + m][0]
+            found.append(Misfit(*numbers, float(in_i[m]), float(in_j[m])))
+    return found
 
 
 def rigid(p_i: Floats, p_j: Floats) -> Floats:

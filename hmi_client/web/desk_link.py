@@ -174,6 +174,8 @@ class DeskLink:
 
     def _do(self, guest: Guest, heard: Heard) -> None:
         desk = self._followed()
+        if heard.do == "pick":
+            self.outlook.renew("list")  # the page has drawn it already: it is told what came of it
         try:
             if heard.do == "settings":
                 self._settings.set(heard.args.get("set", {}))
@@ -199,7 +201,6 @@ class DeskLink:
         if heard.do == "pick":
             side = args.get("side", desk.side)
             args["beside"] = self.pictures.known(guest.drawn[1 - side])
-            self.outlook.renew("list")  # the page has drawn it already: it is told what came of it
         desk.do(heard.do, **args)
         for side in (0, 1):
             now = desk.cursor(side)

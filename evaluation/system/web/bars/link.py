@@ -38,7 +38,7 @@ class Heard:
 
 def link(bench: Bench) -> list[Row]:
     """State by a free link, clicks and images by a slow one."""
-    rows = [_state(bench)]
+    rows = [state(bench)]
     with SlowLink(bench.site.port, LINK_BIT_PER_S) as slow:
         page = bench.browser.page(bench.site.address(port=slow.port))
         hands.open_pair(page)
@@ -53,7 +53,8 @@ def link(bench: Bench) -> list[Row]:
     return [*rows, at_most(4, "oldest image by 1 Mbit/s, s", max(ages, default=None), AGE_S)]
 
 
-def _state(bench: Bench) -> Row:
+def state(bench: Bench) -> Row:
+    """How much state a page hears while a pair is looked at."""
     heard = Heard()
     page = bench.browser.page(bench.site.address(), before=heard.watch)
     hands.open_pair(page)

@@ -50,7 +50,7 @@ export class ImagePanel {
     });
     new ResizeObserver(() => this.divide()).observe(this.pictures);
     const fleet = ["list", "assist", "names", "link", "tick"];
-    const view = ["images", `image ${side}`, "cursors", "active", "marks", "theme", "mode"];
+    const view = ["images", `image ${side}`, "cursors", `cursor ${side}`, "active", "marks", "theme", "mode"];
     watch([...fleet, ...view], () => this.draw());
   }
 

@@ -3,7 +3,8 @@
 import { state, markerColour } from "../link/store.js";
 import { colour } from "../frame/dom.js";
 
-const GAP = 9;
+const GAP = 9,
+  BEYOND = 40; // CSS pixels that a mark reaches from its place
 
 /** What a side's image shows: points of this view, half a pick, the guess, the misfit. */
 export function marksOf(side) {
@@ -72,6 +73,8 @@ function stroked(ctx, paint, wide, path, dash = []) {
 }
 
 function drawPoint(ctx, [x, y], { paint, text }, width) {
+  const height = (width * ctx.canvas.height) / ctx.canvas.width;
+  if (Math.min(x, y, width - x, height - y) < -BEYOND) return; // most of many points lie outside a loupe
   stroked(ctx, paint, 2, () => ctx.arc(x, y, 8, 0, 2 * Math.PI));
   chip(ctx, [x, y], text, paint, width, [16, -17]);
 }

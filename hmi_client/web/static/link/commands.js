@@ -77,10 +77,13 @@ export function moveCursor(side, pixel, toActive = true) {
   if (!image) return;
   const clamp = (x, size) => Math.min(Math.max(x, -0.5), size - 0.5);
   state.cursors[side] = [clamp(pixel[0], image.width), clamp(pixel[1], image.height)];
-  if (toActive) state.active = side;
+  if (toActive && state.active !== side) {
+    state.active = side;
+    changed("active");
+  }
   cursorDue.add(side);
   if (cursorDue.size === 1) requestAnimationFrame(flushCursors);
-  changed("cursors", "active");
+  changed(`cursor ${side}`);
 }
 
 function flushCursors() {

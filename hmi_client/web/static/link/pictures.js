@@ -1,15 +1,18 @@
 // The newest image of each side. One is decoded at a time, the one before is closed, and the bridge
 // hears of each that was drawn, so that the next may come.
 
-import { state, changed } from "./store.js";
+import { state, changed, unanswered } from "./store.js";
 import { send } from "./socket.js";
 
 const waiting = [null, null];
 const busy = [false, false];
 let pair = 0; // counts pairs: what was decoded for an earlier one is not shown
 
-/** Decodes a JPEG and shows it, unless a newer one came meanwhile. */
+/** Decodes a JPEG and shows it, unless a newer one came meanwhile. While a click is not answered, what
+ * comes was sent before the bridge held the images, and is not shown.
+ */
 export async function showImage(side, scale, view, jpeg) {
+  if (unanswered() && state.images[side]) return void send({ do: "ack", side, view });
   waiting[side] = { scale, view, jpeg };
   if (busy[side]) return;
   busy[side] = true;

@@ -91,6 +91,9 @@ export function put(topic, value) {
   changed(topic);
 }
 
+/** Whether a click was drawn of which the bridge has not told yet what came of it. */
+export const unanswered = () => state.told !== null && state.list !== state.told;
+
 export const clearList = () => ({ list: NO_LIST, assist: NO_ASSIST });
 
 /** A robot's name, be it told by name or by index. */
