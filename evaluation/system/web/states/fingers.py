@@ -2,6 +2,7 @@
 pixels show, and presses keys.
 """
 
+import contextlib
 from collections.abc import Callable
 from typing import Any
 
@@ -15,10 +16,11 @@ from fleetpose.protocol.errors import FleetPoseError
 
 GOOD_PX = 3.0  # nearer than that two crosses show the same point to an eye at the loupe
 SAME_PX = 1.5  # nearer than that nobody corrects by hand
-CORRECTED_KEYS = 2  # a suggestion that is off is corrected if that many keys do it
+CORRECTED_KEYS = 1  # a suggestion that is off is corrected if that many keys do it
 LABEL_KEYS = 3  # of `g` and the two letters of a label
 APART_PX = 60.0  # points that are nearer to each other tell little more
-GUESS_MS = 700  # as long an operator waits for the place that is expected
+NEAR_PX, NEAR, SPREAD_PX = 25.0, 4, 4.0  # known partners around a pixel that tell where its own is
+GUESS_S = 3.0  # as long an operator waits for the place that is expected
 _SUGGESTED = "state.assist.suggestion"
 
 
@@ -72,7 +74,7 @@ class PageFingers:
         while len(self.picked) < points:
             n = self._knows("assist.suggestion.n")
             left, right = self._cursors()
-            where = self.eyes.partner(left)
+            where = self._partner(left)
             keys = None if where is None else arrow_keys(*(where - right))
             if where is not None and np.linalg.norm(where - right) < GOOD_PX:
                 keys = []
@@ -108,7 +110,8 @@ class PageFingers:
         where = self._go_where_both_see()
         self.press("Space")
         self._wait("state.list.half && state.active === 1")
-        self._page.wait_for_timeout(GUESS_MS)
+        with contextlib.suppress(FleetPoseError):  # there may be none
+            hands.wait_knows(self._page, "state.assist.expected", GUESS_S)
         return where
 
     def _off(self, where: Floats) -> list[str]:
@@ -121,7 +124,7 @@ class PageFingers:
         vain: list[Floats] = []
         while len(vain) < 3:
             pixel = self._go(lambda place: self._worth(place, vain))
-            where = self.eyes.partner(pixel)
+            where = self._partner(pixel)
             if where is not None:
                 self.picked.append(pixel)
                 return where
@@ -130,9 +133,23 @@ class PageFingers:
 
     def _worth(self, place: Place, vain: list[Floats]) -> float:
         """How far a place is from what was picked, if its partner is known."""
-        far = np.linalg.norm(self.eyes.uv_i - place, axis=1)
-        apart = [float(np.linalg.norm(np.asarray(place) - p)) for p in (*self.picked, *vain)]
-        return min([*apart, 1e3]) - 10.0 * float(far.min(initial=np.inf))
+        if self._partner(np.asarray(place)) is None:
+            return -np.inf
+        return min([float(np.linalg.norm(place - p)) for p in (*self.picked, *vain)], default=0.0)
+
+    def _partner(self, pixel: Floats) -> Floats | None:
+        """Where the right image shows what is at a pixel of the left one, (2,): as the points around
+        it move, if they move alike; none where that is not known.
+        """
+        exact = self.eyes.partner(pixel)
+        if exact is not None or len(self.eyes.uv_i) < NEAR:
+            return exact
+        far = np.linalg.norm(self.eyes.uv_i - pixel, axis=1)
+        near = np.argsort(far)[:NEAR]
+        shift = self.eyes.uv_j[near] - self.eyes.uv_i[near]
+        if far[near].max() > NEAR_PX or np.ptp(shift, axis=0).max() > SPREAD_PX:
+            return None
+        return pixel + np.median(shift, axis=0)
 
     def _go(self, worth: Callable[[Place], float]) -> Floats:
         """Goes by the best label; returns where the cross then is."""
