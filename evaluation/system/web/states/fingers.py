@@ -138,7 +138,7 @@ class PageFingers:
         return min([float(np.linalg.norm(place - p)) for p in (*self.picked, *vain)], default=0.0)
 
     def _partner(self, pixel: Floats) -> Floats | None:
-        """Where the right image shows what is at a pixel of the left one, (2,): as the points around
+        """(2,) where the right image shows what is at a pixel of the left one: as the points around
         it move, if they move alike; none where that is not known.
         """
         exact = self.eyes.partner(pixel)
