@@ -267,13 +267,15 @@ def stand_in(
     rate: Annotated[float, typer.Option(help="Poses per second.", min=0.1)] = 10.0,
     image_rate: Annotated[float, typer.Option(help="Images per second.", min=0.1)] = 5.0,
     points: Annotated[int, typer.Option(help="Points of a pair that is held.", min=0)] = 0,
+    questions: Annotated[int, typer.Option(help="That are asked.", min=0, max=2)] = 2,
     connect: Annotated[list[str] | None, typer.Option(help="Endpoint of the router.")] = None,
     site: Annotated[str, typer.Option(help="Name of the site.")] = "demo",
 ) -> None:
     """Say what a server and robots would say, for `hmi` and `web`."""
     from fleetpose.evaluation.system.terminal.stand_in import Load, run
 
-    run(Load(robots, rate, image_rate, moving, points), tuple(connect or ()), site, notes)
+    load = Load(robots, rate, image_rate, moving, points, questions)
+    run(load, tuple(connect or ()), site, notes)
 
 
 @app.command(epilog=examples("pose-eval operate --out out/operate"))

@@ -72,6 +72,7 @@ class Desk(DeskState):
 
     def _do_cursor(self, side: object, pixel: object) -> None:
         self._put(self._turn(side), _pixel(pixel))
+        self.hints = None
 
     def _do_pick(
         self,
@@ -84,7 +85,7 @@ class Desk(DeskState):
         if pixel is not None:
             self._put(here, _pixel(pixel))
         ticket = self.session.pick(here, self.cursor(here), seen, beside)
-        self.side = 1 - here if ticket is None else 0
+        self.side, self.hints = 1 - here if ticket is None else 0, None
         self.done["picked"] += ticket is not None
         self._expect()
 

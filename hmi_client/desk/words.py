@@ -54,6 +54,8 @@ _PLAIN = (
     (r"(\S+) is now in component (\S+) \(was \S+\)", r"\1 is now in the group of \2"),
     (r"\((\d+) correspondences\)", r"(\1 points)"),
     (r"(\d+) matches agree to ([\d.]+) px", r"\1 image features agree to \2 px"),
+    (r"correspondence \d+ of \S+, \S+ is not there", "somebody has erased it meanwhile"),
+    (r"correspondence \d+ was changed meanwhile: .*", "somebody has moved it meanwhile"),
     (r"not joined to the anchor", "a separate group: not joined to the origin"),
 )
 

@@ -70,7 +70,7 @@ def notice(text: str, tone: Tone = "warn") -> Frame:
 
 def event(text: str, at_ms: int) -> Frame:
     """Something that happened, and when; milliseconds since 1970."""
-    return {"t": "event", "at_ms": at_ms, "text": text, "tone": ""}
+    return {"t": "event", "at_ms": at_ms, "text": plain(text), "tone": ""}
 
 
 def cursor(side: int, pixel: PixelUV) -> Frame:
@@ -200,6 +200,12 @@ def points(desk: Desk) -> Frame:
         "kept": session.unconfirmed,
         "confirmed": session.confirmed,
         "others": list(others),
+        "elsewhere": {
+            name: list(pair)
+            for pair, names in session.others().items()
+            for name in names
+            if pair != session.pair
+        },
         "undo": undo,
         "redo": redo,
         "words": describe_cell(session) if session.pair else "",

@@ -165,6 +165,9 @@ def test_no_gain_and_no_chance_is_told_that_nobody_has_calibrated():
     told = "the fleet is known 1.3 m better on average (0.00012 m expected)"
     assert plain(told) == "the fleet is known 1.3 m better on average"
     assert plain("something new") == "something new"
+    late = "correspondence 3 was changed meanwhile: it is at revision 2, this was made at 1"
+    assert plain(f"rejected: {late}") == "rejected: somebody has moved it meanwhile"
+    assert plain("correspondence 3 of r1, r2 is not there") == "somebody has erased it meanwhile"
 
 
 def test_confirmations_count_points_and_the_last_line_tells_what_was_done(session):

@@ -9,6 +9,7 @@ from screen_makers import picture, press, screen
 
 from fleetpose.hmi_client.assist.clicked_points import rigid
 from fleetpose.hmi_client.desk.desk import Desk
+from fleetpose.hmi_client.desk.hints import Hints
 from fleetpose.hmi_client.desk.keymap import COMMANDS, IDS, KeyMap
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.depths import Depths
@@ -262,3 +263,11 @@ def test_an_entry_on_its_way_counts_and_a_rejected_one_does_not(desk, session):
     entries = [Entry(pick, "pending"), Entry(pick, "rejected")]
     assert desk.points.near(entries) is None
     assert desk.points.near([entries[0], entries[0]]) == (1, 2)
+
+
+def test_labels_go_away_once_the_cursor_is_put_elsewhere(session, desk):
+    for deed in ({"command": "cursor", "side": 0, "pixel": (9, 9)}, {"command": "pick"}):
+        known(session, desk)
+        desk.hints = Hints.of(PLACES)
+        desk.do(**deed)
+        assert desk.hints is None

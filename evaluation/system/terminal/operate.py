@@ -109,7 +109,7 @@ def _operated(
     observer.link.on_latched(keys.alignment("*", "*"), told.store)
     observer.link.on_latched(keys.correspondences("*", "*"), told.store_set)
     last = plan.names[-1]
-    if not wait_running(fleet, lambda: _is_asked_about(observer, plan), SETTLE_S):
+    if not wait_running(fleet, lambda: is_asked_about(observer, plan), SETTLE_S):
         raise FleetPoseError(f"after {SETTLE_S:.0f} s nothing is asked about the robot apart")
     client = ("-m", "fleetpose.hmi_client", "screen", *fleet.connection, "--operator", "fingers")
     command = [sys.executable, "-P", *client, "--theme", options.theme]
@@ -123,7 +123,7 @@ def _operated(
         by_hand = options.by_hand or options.kill_server
         pair = ordered_pair(*fingers.answer(options.points, by_hand))
         clicked_s = time.monotonic()
-        joined = wait_running(fleet, lambda: _is_joined(observer, last), ANSWER_S)
+        joined = wait_running(fleet, lambda: is_joined(observer, last), ANSWER_S)
         joined_s = time.monotonic() - clicked_s
         kept = wait_running(fleet, lambda: told.clicks(pair) == len(fingers.picked), ANSWER_S)
         shown = joined and bool(terminal.wait_text("joined"))
@@ -148,7 +148,7 @@ def _operated(
     }
 
 
-def _is_asked_about(observer: Observer, plan: FleetPlan) -> bool:
+def is_asked_about(observer: Observer, plan: FleetPlan) -> bool:
     """Whether the other robots are together, and the first question is about the last one."""
     state = observer.state
     if state is None or not state.questions:
@@ -159,7 +159,8 @@ def _is_asked_about(observer: Observer, plan: FleetPlan) -> bool:
     return (together or len(poses) < 2) and plan.names[-1] in (question.i, question.j)
 
 
-def _is_joined(observer: Observer, robot: str) -> bool:
+def is_joined(observer: Observer, robot: str) -> bool:
+    """Whether a robot is located."""
     seen = observer.poses().get(robot)
     return seen is not None and seen.pose.located
 

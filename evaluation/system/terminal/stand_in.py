@@ -60,6 +60,7 @@ class Load:
         image_hz: of each image that is wanted.
         moving: whether cameras pan; else they show the same, with a sensor's noise.
         points: correspondences that each pair gets once its views are held.
+        questions: that are asked, two at most.
     """
 
     robots: int
@@ -67,6 +68,7 @@ class Load:
     image_hz: float = 5.0
     moving: bool = False
     points: int = 0
+    questions: int = 2
 
 
 def run(load: Load, connect: tuple[str, ...], site: str, notes: Path) -> None:
@@ -228,7 +230,9 @@ class StandIn:
 
     def _questions(self) -> tuple[messages.Question, ...]:
         asked = []
-        for a, b in (("r1", "r2"), ("r2", "r3"))[: max(self._load.robots - 1, 0)]:
+        for a, b in (("r1", "r2"), ("r2", "r3"))[
+            : min(self._load.questions, self._load.robots - 1)
+        ]:
             why = "These two views are worth a click."
             view_a, view_b = self._view(a), self._view(b)
             asked.append(

@@ -11,6 +11,8 @@ LEFT, RIGHT = "[data-panel=left]", "[data-panel=right]"
 SIDES = (LEFT, RIGHT)
 WITHIN_S = 15.0
 STORE = "/static/link/store.js"
+RUN = "async ([id, args]) => (await import('/static/link/commands.js')).run(id, args)"
+"""Does a command of the page, by its id and with arguments, as a button does."""
 _STATE = """async (path) => {
     const { state } = await import('/static/link/store.js');
     return path.split('.').reduce((at, key) => at?.[key], state) ?? null;

@@ -33,10 +33,13 @@ class WebSite:
         out: folder for logs, notes and what the bridge keeps; emptied before.
         image_hz: of each image that is wanted.
         points: correspondences that the stand-in has for a pair whose images are held.
+        questions: that are asked, two at most.
 
     Raises:
         FleetPoseError: on entering, a process does not start.
     """
+
+    server = STAND_IN  # the process that is silenced
 
     def __init__(
         self,
@@ -45,6 +48,7 @@ class WebSite:
         out: Path = Path("out"),
         image_hz: float = 5.0,
         points: int = 0,
+        questions: int = 2,
     ) -> None:
         self.robots, self.out = robots, out
         self._told = {
@@ -52,6 +56,7 @@ class WebSite:
             "--rate": rate_hz,
             "--image-rate": image_hz,
             "--points": points,
+            "--questions": questions,
         }
         self._notes = out / "updates.jsonl"
         self._port = free_port()
@@ -112,8 +117,8 @@ class WebSite:
 
     def silence_server(self, silent: bool) -> None:
         """Freezes the stand-in, or lets it go on."""
-        if STAND_IN in self.fleet.names():
-            self.fleet.signal(STAND_IN, "SIGSTOP" if silent else "SIGCONT")
+        if self.server in self.fleet.names():
+            self.fleet.signal(self.server, "SIGSTOP" if silent else "SIGCONT")
 
     # ---- what came of it -------------------------------------------------------------------------
 
@@ -139,16 +144,24 @@ class WebSite:
     # ---- starting --------------------------------------------------------------------------------
 
     def _start(self) -> None:
+        self.start_server()
+        self._serve()
+
+    def start_server(self) -> None:
+        """Starts what stands behind the bridge: a router and the stand-in."""
         self.fleet.start_router()
         told = [text for name, value in self._told.items() for text in (name, str(value))]
         notes = ("--notes", str(self._notes))
         where = self.fleet.connection
         self.fleet.start(STAND_IN, "fleetpose.evaluation", STAND_IN, *where, *told, *notes)
+
+    def _serve(self) -> None:
         tokens = self.out / "tokens"
         tokens.touch(mode=0o600)
         tokens.write_text("".join(f"{name}:{token}\n" for name, token in self._tokens.items()))
         served = ("--listen", f"127.0.0.1:{self._port}", "--token-file", str(tokens), "--no-open")
         log = ("--log", str(self.out / "logs" / "hmi-client.log"))
+        where = self.fleet.connection
         self.fleet.start(BRIDGE, "fleetpose.hmi_client", "web", *where, *served, *log)
         self._wait_listening()
 

@@ -35,7 +35,8 @@ STATES = {
     "without-image": scenes.without_image,
     "many": scenes.many,
 }
-AUDIT = (Path(__file__).parent / "audit.js").read_text()
+STATES_OF_EVALUATION = Path(__file__).parents[3] / "evaluation" / "system" / "web" / "states"
+AUDIT = (STATES_OF_EVALUATION / "audit.js").read_text()
 SETTLED = """document.fonts.ready.then(() => new Promise((done) =>
     requestAnimationFrame(() => requestAnimationFrame(() => requestAnimationFrame(done)))))"""
 FOCUSED = """document.activeElement.closest('section,header')?.id
@@ -193,7 +194,7 @@ def test_a_wrong_click_splits_the_loupe_and_offers_to_move_or_erase(opened, brid
 
 def test_without_a_server_all_is_greyed_and_stamped_and_the_broken_leg_is_named(opened):
     page = opened(scenes.gone())
-    assert page.inner_text("#bar h1") == "No server. Your 2 clicks are kept"
+    assert page.inner_text("#bar h1") == "NO SERVER"
     assert "silent 14 s" in page.inner_text(".legs") or "silent 15 s" in page.inner_text(".legs")
     stamps = [s for s in page.locator(".panel .stamp").all() if s.is_visible()]
     assert len(stamps) >= 7
@@ -237,6 +238,34 @@ def test_half_a_pick_is_dropped_with_its_connection(opened, bridge):
     )
     _until(page, lambda: page.inner_text("#link").startswith("Live"))
     assert page.inner_text(f"{LEFT} .tag") == ""
+
+
+def test_a_page_that_comes_back_to_a_new_bridge_selects_its_pair_again(opened, bridge):
+    opened(scenes.half())
+    bridge[0].show(scenes.idle())  # a bridge that was started anew knows of no pair
+    bridge[0].drop()
+    sent = bridge[0].wait_for("select")
+    assert (sent["a"], sent["b"]) == ("r3", "r8")
+
+
+def test_panels_keep_their_order_when_a_tablet_is_turned(opened):
+    page = opened(scenes.half())
+    order = "[...document.querySelectorAll('.middle > .panel')].map((node) => node.id)"
+    before = page.evaluate(order)
+    for width, height in (TABLET, DESK):
+        page.set_viewport_size({"width": width, "height": height})
+        page.evaluate(SETTLED)
+    assert page.evaluate(order) == before == ["matrix", "pair", "events"]
+
+
+def test_a_key_turns_to_its_image_also_if_that_has_the_focus(opened, bridge):
+    page = opened(FREE)
+    page.keyboard.press("4")
+    page.keyboard.press("Space")
+    bridge[0].wait_for("pick")
+    _until(page, lambda: "active" in page.get_attribute(RIGHT, "class"))
+    page.keyboard.press("4")
+    _until(page, lambda: "active" in page.get_attribute(LEFT, "class"))
 
 
 def test_a_wrong_token_is_told_and_not_tried_again(opened, bridge):

@@ -125,6 +125,8 @@ def test_two_operators_see_each_others_pair_and_tabs_of_one_share_a_desk(serve, 
         tab.wait(lambda p: [e["by"] for e in p.texts["list"]["points"]] == ["ana"])
         assert kim.texts["welcome"]["operator"] == "kim"
         assert ana.texts["welcome"]["operator"] == "ana"
+        ana.say(do="select", a="r2", b="r3")
+        kim.wait(lambda p: p.texts["list"]["elsewhere"] == {"ana": ["r2", "r3"]}, 1.0)
 
 
 def test_how_a_page_looks_is_kept_and_its_token_outlives_the_bridge(router, tmp_path):

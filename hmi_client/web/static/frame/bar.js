@@ -91,7 +91,8 @@ function facts(step) {
 }
 
 /** A first letter is large, except of a robot's name. */
-const sentence = (text) => text.replace(/^[a-z]/, (c) => (/^[a-z]\d/.test(text) ? c : c.toUpperCase()));
+const sentence = (text) =>
+  state.names.includes(/^[\w-]*/.exec(text)[0]) ? text : text.replace(/^[a-z]/, (c) => c.toUpperCase());
 /** A number and its unit stay on one line. */
 const kept = (text) => text.replace(/(\d) (?=(?:%|m|cm|s|px)(?:[ .,;)]|$))/g, "$1\u00a0");
 

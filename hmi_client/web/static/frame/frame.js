@@ -41,7 +41,11 @@ function drawHead() {
   say(byId("site"), welcome?.site ? `site ${welcome.site}${welcome.replay ? ", a recording" : ""}` : "");
   const others = (list.others ?? []).map(nameOf);
   const pair = selected();
-  const here = others.map((name) => person(name, pair ? ` at ${pair[0]} – ${pair[1]}` : ""));
+  const at = (names) => (names ? ` at ${names[0]} – ${names[1]}` : "");
+  const here = [
+    ...others.map((name) => person(name, at(pair))),
+    ...Object.entries(list.elsewhere ?? {}).map(([name, names]) => person(name, at(names))),
+  ];
   fill("who", [...here, ...(welcome ? [person(`you: ${welcome.operator}`, "", welcome.operator)] : [])]);
   drawLink();
 }

@@ -4,6 +4,7 @@ import { el } from "./dom.js";
 import { state, watch, put, changed, selected } from "../link/store.js";
 import { command, run } from "../link/commands.js";
 import { send } from "../link/socket.js";
+import { activate } from "../images/cursors.js";
 
 const main = document.getElementById("main");
 const images = document.getElementById("images"),
@@ -25,6 +26,7 @@ const PANELS = {
   "panel-left": "[data-panel=left]",
   "panel-right": "[data-panel=right]",
 };
+const SIDES = { "panel-left": 0, "panel-right": 1 };
 let wanted = "",
   saved = "";
 
@@ -38,6 +40,7 @@ export function startLayout() {
     command(id, () => {
       show(id.slice(6));
       document.querySelector(where)?.focus();
+      if (id in SIDES) activate(SIDES[id]); // it may have had the focus before
     });
   document
     .getElementById("theme")
@@ -107,7 +110,7 @@ function arrange() {
     place(
       document.getElementById(id),
       small.matches && mode !== "over" ? left : middle,
-      id === "pair" && !small.matches && mode !== "over" && mode !== "idle" ? events : null,
+      id === "matrix" ? middle.firstElementChild : mode !== "over" && mode !== "idle" ? events : null,
     );
   save();
   want();

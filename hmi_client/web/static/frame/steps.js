@@ -62,20 +62,14 @@ function goneStep({ leg, age }) {
   const never = !Number.isFinite(age);
   const old = never ? "Nothing was heard yet" : `What you see is ${ageText(age)} old · nothing to do but wait`;
   if (leg === "page") return pageGone(clicks, old, age);
+  const { step } = state;
+  const told = step?.tone === "gone";
   return {
     tone: never ? "act" : "warn",
     kick: old,
-    title: never && !kept ? "Waiting for a server" : `No server. ${clicks}`,
+    title: told ? step.title : never && !kept ? "Waiting for a server" : `No server. ${clicks}`,
     legs: [null, age],
-    facts: [
-      [
-        "What happens now",
-        never
-          ? "The page goes on by itself once the server is heard."
-          : "Clicks are sent once it is back, even if you close this page.",
-      ],
-      ["If it stays away", `Is pose-server run running on ${state.health.address || "its machine"}?`],
-    ],
+    facts: told ? step.facts.map(fact) : [],
     actions: never ? [] : [{ do: "events", label: "What was last confirmed" }],
   };
 }
@@ -110,10 +104,8 @@ function overviewStep() {
     n > MOST_WORDS
       ? "Dark is little error, light is much, brown is hidden or rejected."
       : "The largest errors are bold. - is hidden or rejected, ~ known through others, · never tried.";
-  const facts = [
-    ["What you see", seen],
-    ["What to do", "Take the questions in their order, or select any cell."],
-  ];
+  const facts = [["What you see", seen]];
+  if (state.step) facts.push(["What to do", state.step.title]);
   if (lost.length)
     facts.unshift(["Missing", `${listed(lost)} ${lost.length === 1 ? "is" : "are"} not joined.`]);
   const next = state.questions.length ? [{ do: "next", label: "First question", primary: true }] : [];

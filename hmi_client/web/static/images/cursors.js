@@ -1,5 +1,6 @@
 // Where the crosses go by themselves: to the guess after the first click, to what is suggested, to a
-// point that does not fit, and to a point of the list. Each only once, so that arrows can correct it.
+// point that does not fit, and to a point of the list. Each only once, so that arrows can correct it;
+// a guess that comes after the hand has moved the cross does not take it away.
 
 import { state, watch, react, changed } from "../link/store.js";
 import { moveCursor } from "../link/commands.js";
@@ -18,7 +19,7 @@ function follow() {
   const { list, assist } = state;
   once("pair", list.pair, () => (state.current = null));
   once("half", list.half?.side, () => {
-    activate(list.half ? 1 - list.half.side : state.active);
+    activate(list.half ? 1 - list.half.side : 0);
     left = state.cursors[state.active];
   });
   if (state.images[assist.side]) once("guess", assist.expected, () => guess(assist));
@@ -31,7 +32,9 @@ function follow() {
 /** A guess that comes late does not take the cross from where it was put meanwhile. */
 function guess({ side, expected }) {
   const moved = left !== null && String(left) !== String(state.cursors[side]);
-  if (expected?.pixel && !moved) moveCursor(side, expected.pixel);
+  if (!expected?.pixel || moved) return;
+  moveCursor(side, expected.pixel);
+  left = state.cursors[side];
 }
 
 function once(what, value, deed) {
@@ -41,7 +44,8 @@ function once(what, value, deed) {
   deed();
 }
 
-function activate(side) {
+/** Keys work in a side's image from now on. */
+export function activate(side) {
   state.active = side;
   changed("active");
 }

@@ -163,7 +163,8 @@ function drawWrong(ctx, { clicked, fits }, at, width, captions) {
     [5, 4],
   );
   diamond(ctx, b, paint);
-  if (captions) caption(ctx, b, "the others put it here", paint, width);
+  const beside = Math.abs(a[0] - b[0]) < 130 && Math.abs(a[1] - b[1]) < 40; // its number would lie on it
+  if (captions) caption(ctx, [b[0], b[1] + (beside ? 42 : 0)], "the others put it here", paint, width);
 }
 
 /** Full hairlines with a gap: what lies under the cross stays free. */

@@ -1,7 +1,7 @@
 // The websocket: says hello, hears everything, comes back by itself. Nothing is queued while it is down.
 
 import { header, matrixOf, posesOf, cloudOf } from "./decode.js";
-import { state, put, changed, addEvent, clearList } from "./store.js";
+import { state, put, changed, addEvent, clearList, selected } from "./store.js";
 import { showImage, dropImages } from "./pictures.js";
 
 const FIRST_WAIT_MS = 100,
@@ -15,6 +15,7 @@ const REFUSED = {
   4400: "hmi-client web does not understand this page: load it anew.",
 };
 let socket = null;
+let pairBefore = null; // that was selected when the connection was lost
 let wait = FIRST_WAIT_MS;
 
 const token = () => new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
@@ -32,6 +33,7 @@ export function connect() {
 function lost(code) {
   state.link.open = false;
   state.link.refused = REFUSED[code] ?? "";
+  pairBefore = selected() ?? pairBefore;
   dropHalf();
   changed("link");
   if (code === 4401 || code === 4403) return;
@@ -46,6 +48,14 @@ function dropHalf() {
   state.told = null;
   state.assist = assist;
   changed("list", "assist");
+}
+
+/** A bridge that was started anew knows of no pair: work goes on where it was. */
+function selectAgain(pair) {
+  if (pair) pairBefore = null;
+  if (!pairBefore?.every((name) => state.names.includes(name))) return;
+  const [a, b] = pairBefore;
+  if (send({ do: "select", a, b })) pairBefore = null;
 }
 
 /** Sends a command; false if nobody hears it. */
@@ -72,11 +82,13 @@ const HEARD = {
     state.origin = m.origin;
     if (m.names.join() !== state.names.join()) forget();
     put("names", m.names);
+    if (!state.list.pair) selectAgain(null);
   },
   list: (m) => {
     if (String(m.pair) !== String(state.list.pair)) dropImages();
     state.told = m;
     put("list", m);
+    selectAgain(m.pair);
   },
   event: addEvent,
   assist: (m) => put("assist", JSON.stringify(m.hints) === state.dismissed ? { ...m, hints: [] } : m),

@@ -14,16 +14,24 @@
     return read.get(css);
   };
   const over = (top, below) => below.map((v, k) => (k < 3 ? (top[k] * top[3] + v * (255 - top[3])) / 255 : 255));
-  const background = (node) => {
-    const layers = [];
-    for (let n = node; n; n = n.parentElement) layers.push(channels(getComputedStyle(n).backgroundColor));
-    return layers.reverse().reduce((below, top) => over(top, below), [255, 255, 255, 255]);
+  const drawn = (node, text) => {
+    // the colour behind a text, or of the text itself; what lies in a faded box is mixed with what is below
+    const chain = [], faded = [];
+    for (let n = node; n; n = n.parentElement) chain.unshift(n);
+    let seen = [255, 255, 255, 255];
+    for (const n of chain) {
+      const { opacity, backgroundColor } = getComputedStyle(n);
+      if (opacity < 1) faded.push([seen, Number(opacity)]);
+      seen = over(channels(backgroundColor), seen);
+    }
+    if (text) seen = over(channels(getComputedStyle(node).color), seen);
+    return faded.reduceRight((top, [below, o]) => top.map((v, k) => o * v + (1 - o) * below[k]), seen);
   };
   const light = (rgb) => rgb.slice(0, 3).map((v) => v / 255).map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)).reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
   const name = (node) => `${node.tagName.toLowerCase()}.${node.className} "${node.textContent.trim().slice(0, 40)}"`;
   if (what === "contrast") {
     return texts.filter((node) => !node.classList.contains("self")).flatMap((node) => {
-      const back = background(node), a = light(over(channels(getComputedStyle(node).color), back)), b = light(back);
+      const a = light(drawn(node, true)), b = light(drawn(node, false));
       const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
       return ratio < limit ? [`${ratio.toFixed(2)} ${name(node)}`] : [];
     });
