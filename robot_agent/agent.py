@@ -102,13 +102,20 @@ def run_agent(settings: RobotSettings, stop: threading.Event) -> None:
             log.info(
                 "ended name=%s reason=%s",
                 robot.name,
-                "asked" if stop.is_set() else "no more frames",
+                _why_ended(stop, settings),
             )
     except EndedError as error:
         log.info("ended name=%s reason=%s", settings.name, error)
     finally:
         systemd.stopping()
         camera.close()
+
+
+def _why_ended(stop: threading.Event, settings: RobotSettings) -> str:
+    if stop.is_set():
+        return "asked"
+    goes_on = settings.replay == "once" and settings.camera in ("rgbd", "stereo")
+    return "no more frames" + "; --replay loop would go on" * goes_on
 
 
 def _options(kind: type[Options], settings: RobotSettings) -> Options:

@@ -138,7 +138,10 @@ class Service:
         self.link.queryable(self.keys.why, partial(self._ask, queries.why))
         view = partial(queries.journalled_view, self.journal)
         self.link.queryable(self.keys.server_view, view)
-        self.site.say(f"server {self.epoch} started with {self.settings.workers} workers")
+        workers = self.settings.workers
+        self.site.say(
+            f"server {self.epoch} started with {workers} worker{'s' if workers > 1 else ''}"
+        )
         log.info("serving site=%s epoch=%s", self.settings.site, self.epoch)
         for pair in self.site.correspondences.pairs():
             self._publisher.correspondences(pair)

@@ -74,7 +74,7 @@ def why_apart(site: Site, robot: Robot) -> str:
             "it is the anchor, but where it is now nothing joins it to the fleet's origin: where "
             f"its view {site.gauge.seq} was taken"
         )
-    return "no verified alignment joins it to the fleet's anchor, directly or through others"
+    return "no verified alignment joins it to the fleet's origin, directly or through others"
 
 
 def anchor_alarms(site: Site) -> tuple[Alarm, ...]:

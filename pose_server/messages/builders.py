@@ -201,14 +201,14 @@ def why_misplaced(
         depth_m: median depth of the keyframe.
     """
     if site.gauge is None or node.root != site.gauge:
-        return "no verified alignment joins it to the fleet's anchor, directly or through others"
+        return "no verified alignment joins it to the fleet's origin, directly or through others"
     if node.verdict == "ambiguous":
         return "the links to it contradict each other"
     if node.p_grave > settings.located_grave:
         limit = settings.located_grave
         return (
             f"its pose is gravely wrong with a probability of {node.p_grave:.1%}, need "
-            f"{limit:.0%}: no independent link to the anchor confirms the doubtful one it hangs by"
+            f"{limit:.0%}: no independent link to the origin confirms the doubtful one it hangs by"
         )
     share = position_sigma(T, covariance) / depth_m
     if share > settings.located_sigma:
