@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -55,7 +56,7 @@ def test_two_clicks_in_the_browser_become_a_correspondence_of_the_server(serve, 
     assert wrong == []
 
 
-def _certificate(folder: Path) -> dict[str, Path]:
+def _certificate(folder: Path) -> dict[str, Any]:
     """One that nobody has signed, for this machine."""
     paths = {"certificate": folder / "web.pem", "key": folder / "web.key"}
     asked = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1"]
