@@ -248,6 +248,18 @@ def test_a_page_that_comes_back_to_a_new_bridge_selects_its_pair_again(opened, b
     assert (sent["a"], sent["b"]) == ("r3", "r8")
 
 
+def test_a_button_stays_when_only_the_facts_change(opened, bridge):
+    page = opened(FREE)
+    picks = scenes.act("pick", "picks", "Space", True)
+    bridge[0].say(scenes.step("ask", "Pick it", ["1 cm off"], picks))
+    shown = lambda: page.inner_text("#bar .facts").replace("\xa0", " ")  # noqa: E731
+    _until(page, lambda: "1 cm off" in shown())
+    page.evaluate("document.querySelector('#bar .primary').dataset.same = 'yes'")
+    bridge[0].say(scenes.step("ask", "Pick it", ["2 cm off"], picks))
+    _until(page, lambda: "2 cm off" in shown())
+    assert page.evaluate("document.querySelector('#bar .primary').dataset.same") == "yes"
+
+
 def test_panels_keep_their_order_when_a_tablet_is_turned(opened):
     page = opened(scenes.half())
     order = "[...document.querySelectorAll('.middle > .panel')].map((node) => node.id)"

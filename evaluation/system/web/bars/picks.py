@@ -106,7 +106,8 @@ class Picker:
 
     def _press_pick(self) -> None:
         if self._pointer.kind == "touch":
-            self._page.locator("[data-deed=pick]:visible").first.tap()
+            box = self._page.locator("[data-deed=pick]:visible").first.bounding_box()
+            self._pointer.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
         else:
             self._page.keyboard.press("Space")
 

@@ -9,10 +9,14 @@ import { keyOf } from "./keys.js";
 
 const bar = document.getElementById("bar");
 const touchbar = document.getElementById("touchbar");
-let shown = "";
+const now = el("div", "now"),
+  why = el("dl", "facts"),
+  actions = el("div", "actions");
+const shown = new Map();
 
 /** Draws the bar whenever its words change, and only then: it is read aloud. */
 export function startBar() {
+  bar.append(now, why, actions);
   watch(
     ["step", "list", "assist", "questions", "link", "tick", "mode", "names", "poses", "health", "welcome"],
     draw,
@@ -24,29 +28,31 @@ function draw() {
   const [left, right] = step.dots ? kickText() : [step.kick, ""];
   const kick = step.kick || left;
   const marks = step.dots ? dots() : [];
-  const words = JSON.stringify([
-    step,
-    kick,
-    right,
-    marks,
-    keyOf("undo"),
-    state.list.undo,
-    state.link.ping_ms && step.legs,
-  ]);
-  if (words === shown) return;
-  shown = words;
-  const focused = document.activeElement?.dataset?.deed;
   bar.className = `bar ${step.tone}`;
-  bar.replaceChildren(
-    el(
-      "div",
-      "now",
+  fill("now", [kick, right, marks, step.title, selected()], () =>
+    now.replaceChildren(
       el("div", "kick", el("span", "", kick), dotRow(marks), el("span", "", right)),
       title(step.title),
     ),
-    facts(step),
-    el("div", "actions", ...step.actions.map(actionButton)),
   );
+  fill("why", [step.facts, step.legs, step.legs && state.link.ping_ms], () =>
+    why.replaceChildren(...facts(step)),
+  );
+  const keys = step.actions.map((action) => [keyOf(action.do), !!state.assist.suggestion]);
+  fill("actions", [step.actions, keys, state.list.undo], () => offer(step));
+}
+
+/** Draws a part only when its words change: a button must not go away under a finger. */
+function fill(part, words, drawn) {
+  const now = JSON.stringify(words);
+  if (shown.get(part) === now) return;
+  shown.set(part, now);
+  drawn();
+}
+
+function offer(step) {
+  const focused = document.activeElement?.dataset?.deed;
+  actions.replaceChildren(...step.actions.map(actionButton));
   touchbar.replaceChildren(...step.actions.map(actionButton), ...touchButtons(step));
   if (focused) document.querySelector(`[data-deed="${CSS.escape(focused)}"]`)?.focus();
 }
@@ -71,17 +77,11 @@ function dots() {
 const dotRow = (marks) => (marks.length ? el("span", "dots", ...marks.map((mark) => el("i", mark))) : null);
 
 function facts(step) {
-  const list = el(
-    "dl",
-    "facts",
-    ...step.facts
-      .slice(0, 3)
-      .map(([label, text]) => el("div", "", label ? el("dt", "", label) : null, el("dd", "", kept(sentence(text))))),
-  );
+  const list = step.facts
+    .slice(0, 3)
+    .map(([label, text]) => el("div", "", label ? el("dt", "", label) : null, el("dd", "", kept(sentence(text)))));
   if (step.legs)
-    list.append(
-      el("div", "legs-fact", el("dt", "", "Where it is broken"), el("dd", "legs", ...legs(step.legs))),
-    );
+    list.push(el("div", "legs-fact", el("dt", "", "Where it is broken"), el("dd", "legs", ...legs(step.legs))));
   return list;
 }
 
