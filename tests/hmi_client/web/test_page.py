@@ -270,16 +270,6 @@ def test_panels_keep_their_order_when_a_tablet_is_turned(opened):
     assert page.evaluate(order) == before == ["matrix", "pair", "events"]
 
 
-def test_a_key_turns_to_its_image_also_if_that_has_the_focus(opened, bridge):
-    page = opened(FREE)
-    page.keyboard.press("4")
-    page.keyboard.press("Space")
-    bridge[0].wait_for("pick")
-    _until(page, lambda: "active" in page.get_attribute(RIGHT, "class"))
-    page.keyboard.press("4")
-    _until(page, lambda: "active" in page.get_attribute(LEFT, "class"))
-
-
 def test_a_wrong_token_is_told_and_not_tried_again(opened, bridge):
     page = opened([], settled=False)
     bridge[0].refuse = True
