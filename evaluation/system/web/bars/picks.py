@@ -11,7 +11,7 @@ from fleetpose.evaluation.system.terminal.stand_in import HEIGHT, WIDTH
 from fleetpose.evaluation.system.web import hands
 from fleetpose.evaluation.system.web.bench import Bench
 from fleetpose.evaluation.system.web.pointers import KINDS, Kind, Pointer
-from fleetpose.evaluation.system.web.rows import Row, at_most
+from fleetpose.evaluation.system.web.rows import Row, at_most, unmeasured
 from fleetpose.evaluation.system.web.site import WebSite
 from fleetpose.protocol.errors import FleetPoseError
 from fleetpose.protocol.transport import wait_until
@@ -122,8 +122,12 @@ def exactly_picked(bench: Bench) -> list[Row]:
     for ratio in RATIOS:
         for kind in KINDS:
             bench.said(f"{kind}, {ratio:g} device pixels")
-            picker = _picked(bench, kind, ratio)
             what = f"{kind}, device pixel ratio {ratio:g}"
+            try:
+                picker = _picked(bench, kind, ratio)
+            except FleetPoseError as error:
+                rows.append(unmeasured(2, what, str(error)))
+                continue
             rows.append(
                 at_most(
                     2, f"largest error at fit, {what}, px of the screen", max(picker.fit_px), FIT_PX
