@@ -248,6 +248,18 @@ def test_a_page_that_comes_back_to_a_new_bridge_selects_its_pair_again(opened, b
     assert (sent["a"], sent["b"]) == ("r3", "r8")
 
 
+def test_a_button_stays_when_only_the_facts_change(opened, bridge):
+    page = opened(FREE)
+    picks = scenes.act("pick", "picks", "Space", True)
+    bridge[0].say(scenes.step("ask", "Pick it", ["1 cm off"], picks))
+    shown = lambda: page.inner_text("#bar .facts").replace("\xa0", " ")  # noqa: E731
+    _until(page, lambda: "1 cm off" in shown())
+    page.evaluate("document.querySelector('#bar .primary').dataset.same = 'yes'")
+    bridge[0].say(scenes.step("ask", "Pick it", ["2 cm off"], picks))
+    _until(page, lambda: "2 cm off" in shown())
+    assert page.evaluate("document.querySelector('#bar .primary').dataset.same") == "yes"
+
+
 def test_panels_keep_their_order_when_a_tablet_is_turned(opened):
     page = opened(scenes.half())
     order = "[...document.querySelectorAll('.middle > .panel')].map((node) => node.id)"
@@ -256,16 +268,6 @@ def test_panels_keep_their_order_when_a_tablet_is_turned(opened):
         page.set_viewport_size({"width": width, "height": height})
         page.evaluate(SETTLED)
     assert page.evaluate(order) == before == ["matrix", "pair", "events"]
-
-
-def test_a_key_turns_to_its_image_also_if_that_has_the_focus(opened, bridge):
-    page = opened(FREE)
-    page.keyboard.press("4")
-    page.keyboard.press("Space")
-    bridge[0].wait_for("pick")
-    _until(page, lambda: "active" in page.get_attribute(RIGHT, "class"))
-    page.keyboard.press("4")
-    _until(page, lambda: "active" in page.get_attribute(LEFT, "class"))
 
 
 def test_a_wrong_token_is_told_and_not_tried_again(opened, bridge):

@@ -10,12 +10,16 @@ import { keyOf } from "./keys.js";
 const bar = document.getElementById("bar");
 const touchbar = document.getElementById("touchbar");
 const SETTLED_MS = 250; // what has just come under a hand was not meant by it
-let shown = "",
-  deed = "",
+let deed = "",
   deedAt = 0;
+const now = el("div", "now"),
+  why = el("dl", "facts"),
+  actions = el("div", "actions");
+const shown = new Map();
 
 /** Draws the bar whenever its words change, and only then: it is read aloud. */
 export function startBar() {
+  bar.append(now, why, actions);
   watch(
     ["step", "list", "assist", "questions", "link", "tick", "mode", "names", "poses", "health", "welcome"],
     draw,
@@ -27,31 +31,33 @@ function draw() {
   const [left, right] = step.dots ? kickText() : [step.kick, ""];
   const kick = step.kick || left;
   const marks = step.dots ? dots() : [];
-  const words = JSON.stringify([
-    step,
-    kick,
-    right,
-    marks,
-    keyOf("undo"),
-    state.list.undo,
-    state.link.ping_ms && step.legs,
-  ]);
-  if (words === shown) return;
-  shown = words;
   const first = step.actions[0]?.do ?? "";
   if (first !== deed) [deed, deedAt] = [first, performance.now()];
-  const focused = document.activeElement?.dataset?.deed;
   bar.className = `bar ${step.tone}`;
-  bar.replaceChildren(
-    el(
-      "div",
-      "now",
+  fill("now", [kick, right, marks, step.title, selected()], () =>
+    now.replaceChildren(
       el("div", "kick", el("span", "", kick), dotRow(marks), el("span", "", right)),
       title(step.title),
     ),
-    facts(step),
-    el("div", "actions", ...step.actions.map(actionButton)),
   );
+  fill("why", [step.facts, step.legs, step.legs && state.link.ping_ms], () =>
+    why.replaceChildren(...facts(step)),
+  );
+  const keys = step.actions.map((action) => [keyOf(action.do), !!state.assist.suggestion]);
+  fill("actions", [step.actions, keys, state.list.undo], () => offer(step));
+}
+
+/** Draws a part only when its words change: a button must not go away under a finger. */
+function fill(part, words, drawn) {
+  const now = JSON.stringify(words);
+  if (shown.get(part) === now) return;
+  shown.set(part, now);
+  drawn();
+}
+
+function offer(step) {
+  const focused = document.activeElement?.dataset?.deed;
+  actions.replaceChildren(...step.actions.map(actionButton));
   touchbar.replaceChildren(...step.actions.map(actionButton), ...touchButtons(step));
   if (focused) document.querySelector(`[data-deed="${CSS.escape(focused)}"]`)?.focus();
 }
@@ -76,15 +82,11 @@ function dots() {
 const dotRow = (marks) => (marks.length ? el("span", "dots", ...marks.map((mark) => el("i", mark))) : null);
 
 function facts(step) {
-  const list = el(
-    "dl",
-    "facts",
-    ...step.facts
-      .slice(0, 3)
-      .map(([label, text]) => el("div", "", label ? el("dt", "", label) : null, el("dd", "", kept(sentence(text))))),
-  );
+  const list = step.facts
+    .slice(0, 3)
+    .map(([label, text]) => el("div", "", label ? el("dt", "", label) : null, el("dd", "", kept(sentence(text)))));
   if (step.legs)
-    list.append(
+    list.push(
       el("div", "legs-fact", el("dt", "", Number.isFinite(step.legs[1] ?? 0) ? "Where it is broken" : "What is connected"), el("dd", "legs", ...legs(step.legs))),
     );
   return list;
