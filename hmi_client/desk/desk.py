@@ -229,6 +229,7 @@ class Desk(DeskState):
 
     def _do_cancel(self) -> None:
         self.hints = None
+        self.helper.forget("hints")
         self.suggestions.end()
         self.session.cancel()
 

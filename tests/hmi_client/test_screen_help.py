@@ -165,7 +165,7 @@ async def test_help_events_and_why_are_pages_that_go_away(session):
         for key, said in (("?", "Shift-Tab"), ("l", "fleet solved"), ("y", "r1 is located")):
             await press(pilot, key)
             assert isinstance(app.screen, Page)
-            assert said in app.screen._text()
+            assert said in app.screen._text(80)
             await press(pilot, "c")
             assert not isinstance(app.screen, Page)
 
@@ -174,6 +174,6 @@ async def test_the_reasons_of_every_robot_can_be_read(session):
     async with screen(session) as (app, pilot):
         await press(pilot, "y")
         await press(pilot, "left")
-        assert "r6 is not located: alive, but no pair of it" in app.screen._text()
+        assert "r6 is not located: alive, but no pair of it" in app.screen._text(80)
         await press(pilot, "right", "right")
-        assert "r2 is located" in app.screen._text()
+        assert "r2 is located" in app.screen._text(80)
