@@ -244,7 +244,7 @@ def hmi(options: HmiOptions, out: Out) -> None:
     run(options, out)
 
 
-@app.command()
+@app.command(epilog=examples("pose-eval web --bars 1,3 --out out/web"))
 @of(WebOptions)
 def web(options: WebOptions, out: Out) -> None:
     """Hold the operator's page to its bars: `hmi-client web` in Chromium without a screen, before a

@@ -8,11 +8,12 @@ import typer
 
 from fleetpose.hmi_client.cli.options import Fps, KeysFile, Theme
 from fleetpose.hmi_client.errors import OperatorError
+from fleetpose.protocol.commands import examples
 
 app = typer.Typer()
 
 
-@app.command()
+@app.command(epilog=examples("hmi-client tutor", "hmi-client tutor site.mcap --web --apart r4"))
 def tutor(
     file: Annotated[
         Path | None,
