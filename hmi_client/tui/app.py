@@ -1,5 +1,7 @@
 """The text client: the panels of one site or of several. It reads the sessions at its own rate."""
 
+import asyncio
+import signal
 import time
 from collections.abc import Callable, Mapping
 
@@ -116,6 +118,10 @@ class FleetApp(App[None]):
         self.set_keymap(bindings.changed_keys(self.keymap))
         self.view.give_keys(self.matrix)
         self.set_interval(self._period_s, self.tick)
+
+        if not self.is_headless:  # whoever ends the process gets the terminal back as it was
+            for ending in (signal.SIGTERM, signal.SIGHUP):
+                asyncio.get_running_loop().add_signal_handler(ending, self.exit)
 
     def on_unmount(self) -> None:
         for view in self.views.values():

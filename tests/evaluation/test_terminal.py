@@ -1,8 +1,12 @@
 """The text client in a real terminal: joined by keys alone, picked to the pixel, read as shown."""
 
 import json
+import os
+import shlex
 import shutil
+import signal
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -93,6 +97,19 @@ def test_what_was_drawn_over_and_other_sizes_are_drawn_anew(tmp_path):
         assert smaller[0].endswith("╮") and len(smaller[0]) == 100
         terminal.resize(120, 40)
         terminal.wait(lambda lines: lines == whole, "what was there before")
+
+
+@in_tmux
+def test_a_screen_that_is_ended_gives_the_terminal_back_as_it_was(tmp_path):
+    screen = [sys.executable, "-P", "-m", "fleetpose.hmi_client", "screen", "--connect"]
+    line = shlex.join([*screen, f"tcp/127.0.0.1:{free_port()}"])
+    command = ["sh", "-c", f"echo before; {line}; echo ended with $?; exec sleep 600"]
+    with Terminal(command, 120, 40, {"XDG_STATE_HOME": str(tmp_path)}) as terminal:
+        terminal.wait_text("Quit", 30.0)
+        (child,) = Path(f"/proc/{terminal.pid}/task/{terminal.pid}/children").read_text().split()
+        os.kill(int(child), signal.SIGTERM)
+        lines = terminal.wait_text("ended with 0", 30.0)
+        assert lines[0] == "before" and not any("Quit" in line for line in lines)
 
 
 @in_tmux
