@@ -18,7 +18,7 @@ from fleetpose.pose_server.calibration.findings import (
     wrong_scales,
 )
 from fleetpose.pose_server.calibration.history import DepthStatement
-from fleetpose.pose_server.calibration.links import SLOW_S
+from fleetpose.pose_server.calibration.links import SLOW_S, SlowLink
 from fleetpose.pose_server.consistency.anchoring import anchor_alarms
 from fleetpose.pose_server.consistency.blindness import blind_alarms
 from fleetpose.pose_server.consistency.doubts import doubt_alarms
@@ -232,12 +232,18 @@ def _of_links(site: Site) -> list[Alarm]:
         Alarm(
             robot=slow.robot,
             kind="link",
-            text=f"the link of {slow.robot} is slow: a view takes {slow.on_way_s:.1f} s and holds "
-            f"{slow.share:.0%} of its salient points; give it a better one, or fewer frames per "
-            "second where several share it",
+            text=f"the link of {slow.robot} is slow: {_on_its_way(slow)}; give it a better one, or "
+            "fewer frames per second where several share it",
         )
         for slow in site.depths.links.slow()
     ]
+
+
+def _on_its_way(slow: SlowLink) -> str:
+    less = f"{slow.share:.0%} of its salient points"
+    if slow.on_way_s > SLOW_S:
+        return f"a view takes {slow.on_way_s:.1f} s and holds {less}"
+    return f"only with {less} does a view come in time"
 
 
 def _of_mirrors(site: Site) -> list[Alarm]:
