@@ -110,11 +110,12 @@ class ProcessSettings(BaseSettings):
     @classmethod
     def _identify(cls, given: dict[str, Any]) -> dict[str, Any]:
         """Site and name are those of the zenoh configuration, if it says whose it is."""
-        if not given.get("config"):
+        config = given.get("config")
+        if not config or not isinstance(config, str | Path):  # what is no path is told as that
             return given
         from fleetpose.protocol.session.identity import identity_in  # zenoh: only where it is used
 
-        file = Path(given["config"])
+        file = Path(config)
         identity = identity_in(file, cls.roles)
         if identity is None:
             return given

@@ -5,7 +5,7 @@ import logging
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from fleetpose.protocol.codec import encoding_of, pack
@@ -159,6 +159,7 @@ def test_any_rig_file_is_a_rig_or_refused_with_a_sentence(changes):
 
 
 @few
+@example(content={"config": 1})
 @given(content=st.dictionaries(st.sampled_from(sorted(RobotSettings.model_fields)), junk))
 def test_any_settings_file_is_read_or_refused_with_a_sentence(tmp_path, content):
     file = tmp_path / "settings.toml"

@@ -5,6 +5,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -126,7 +127,7 @@ def _operated(
         joined = wait_running(fleet, lambda: is_joined(observer, last), ANSWER_S)
         joined_s = time.monotonic() - clicked_s
         kept = wait_running(fleet, lambda: told.clicks(pair) == len(fingers.picked), ANSWER_S)
-        shown = joined and bool(terminal.wait_text("joined"))
+        shown = joined and bool(terminal.wait(_is_told, "that it has joined"))
         terminal.keep(screens, "joined" if joined else "not-joined")
         pressed = terminal.keys
         seconds = time.monotonic() - began_s
@@ -157,6 +158,11 @@ def is_asked_about(observer: Observer, plan: FleetPlan) -> bool:
     poses = [observer.poses().get(name) for name in plan.names[:-1]]
     together = all(pose is not None and pose.pose.located for pose in poses)
     return (together or len(poses) < 2) and plan.names[-1] in (question.i, question.j)
+
+
+def _is_told(lines: Sequence[str]) -> bool:
+    """Joined by the last point, or before it and now answered."""
+    return any("joined" in line or "Answered" in line for line in lines)
 
 
 def is_joined(observer: Observer, robot: str) -> bool:
