@@ -80,7 +80,7 @@ def shown_and_confirmed(bench: Bench) -> list[Row]:
     for k in range(points):
         bench.said(f"point {k + 1} of {points}")
         hand.point(by_key=bool(k % 2))
-        hand.nudge(1)
+        hand.nudge(0)  # the page has turned to the left image
     bench.screenshot(page, "clicked")
     rows = [
         at_most(1, "click to shown, p95 ms", percentile(hand.click_ms, 95), SHOWN_MS),
