@@ -124,15 +124,23 @@ def test_what_another_process_says_for_the_server_is_refused_counted_and_changes
     before = session.poses()["r1"].T_fleet_robot
     other = Link(open_session(SessionSettings(connect=(router,), timeout_s=5.0)))
     try:
-        for key, message in (
-            (server.keys.pose("r1"), pose("r1", 100.0, 0.0, n=10**6, server_epoch=LIAR)),
-            (server.keys.state, fleet(2, n=10**6, server_epoch=LIAR)),
-            (server.keys.alignment("r1", "r2"), alignment("r1", "r2", server_epoch=LIAR)),
-        ):
-            other.latched(key).put(pack(message), encoding_of(type(message)))
-        refused = "a {} of server _ that is not alive"
-        for kind in ("RobotPose", "FleetState", "Alignment"):
-            wait_for(lambda kind=kind: client.drops[refused.format(kind)] == 1)
+        said = [
+            (other.latched(key), message)
+            for key, message in (
+                (server.keys.pose("r1"), pose("r1", 100.0, 0.0, n=10**6, server_epoch=LIAR)),
+                (server.keys.state, fleet(2, n=10**6, server_epoch=LIAR)),
+                (server.keys.alignment("r1", "r2"), alignment("r1", "r2", server_epoch=LIAR)),
+            )
+        ]
+        for publisher, message in said:
+
+            def refused(publisher=publisher, message=message):
+                """Said until it is opened: of states between two that are, only the newest is."""
+                publisher.put(pack(message), encoding_of(type(message)))
+                kind = type(message).__name__
+                return client.drops[f"a {kind} of server _ that is not alive"] > 0
+
+            wait_for(refused)
     finally:
         other.close()
     n = session.fleet.n
