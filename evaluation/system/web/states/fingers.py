@@ -20,6 +20,9 @@ CORRECTED_KEYS = 1  # a suggestion that is off is corrected if that many keys do
 LABEL_KEYS = 3  # of `g` and the two letters of a label
 APART_PX = 60.0  # points that are nearer to each other tell little more
 NEAR_PX, NEAR, SPREAD_PX = 25.0, 4, 4.0  # known partners around a pixel that tell where its own is
+READ_MS = (
+    500  # nobody presses a button sooner after its words have changed, nor does the page take it
+)
 GUESS_S = 3.0  # as long an operator waits for the place that is expected
 _SUGGESTED = "state.assist.suggestion"
 
@@ -69,6 +72,7 @@ class PageFingers:
     # ---- suggestions -----------------------------------------------------------------------------
 
     def _by_suggestions(self, points: int) -> None:
+        self._page.wait_for_timeout(READ_MS)
         self.press("Enter")  # what the bar's first button does
         self._wait(_SUGGESTED)
         while len(self.picked) < points:
