@@ -204,9 +204,16 @@ class Desk(DeskState):
         self._do_show(wrong.id)
 
     def _meant(self, id: object, side: object, pixel: object, reach: object) -> Entry | None:
-        """The entry with an id, else the nearest one."""
+        """The entry with an id, else the nearest one.
+
+        Raises:
+            OperatorError: the id is that of no entry any more.
+        """
         if id is not None:
-            return next((e for e in self.session.entries() if e.id == id), None)
+            named = next((e for e in self.session.entries() if e.id == id), None)
+            if named is None:
+                raise OperatorError("this point is not there: somebody has erased it meanwhile")
+            return named
         here = self._side(side)
         at = None if pixel is None else _pixel(pixel)
         return self.nearest(here, at, _numbers([reach], 1)[0])

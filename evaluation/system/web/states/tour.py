@@ -6,7 +6,7 @@ from typing import Any
 from fleetpose.evaluation.system.web import hands
 from fleetpose.evaluation.system.web.bench import Bench
 from fleetpose.evaluation.system.web.site import WebSite
-from fleetpose.evaluation.system.web.states.fingers import PageFingers
+from fleetpose.evaluation.system.web.states.fingers import READ_MS, PageFingers
 from fleetpose.evaluation.system.web.states.pieces import PiecesSite
 
 WRONG_PX = 70.0  # to the right of its place
@@ -77,6 +77,7 @@ def _to_half(page: Any, fingers: PageFingers) -> Callable[[], None]:
 def _to_suggestion(page: Any, fingers: PageFingers) -> Callable[[], None]:
     hands.wait_knows(page, "!state.list.half && state.step.actions[0].do === 'accept'")
     page.evaluate("() => document.activeElement.blur()")
+    page.wait_for_timeout(READ_MS)
     page.keyboard.press("Enter")
     hands.wait_knows(page, "state.assist.suggestion")
     return lambda: page.keyboard.press("c")
