@@ -10,6 +10,7 @@ import { send } from "../link/socket.js";
 
 const byId = (id) => document.getElementById(id);
 const foot = document.querySelector("footer");
+const MOST_FOOT = 55; // letters of an event beside the keys, at 1600 px
 const NOTICE_MS = 8000;
 const HINTS = [
   ["next", "next question"],
@@ -84,10 +85,17 @@ function drawLink() {
   for (const stamp of document.querySelectorAll(".stamp")) say(stamp, gone && Number.isFinite(gone.age) ? `${ageText(gone.age)} old` : "");
 }
 
+/** As many clauses as the foot has room for; all of it stands under "What happened". */
+function begun(text) {
+  const clauses = text.split(/(?=[;:,] )/);
+  while (clauses.length > 1 && clauses.join("").length > MOST_FOOT) clauses.pop();
+  return clauses.join("");
+}
+
 function drawFoot() {
   const event = state.events[0],
     notice = state.notice;
-  say(foot.querySelector(".event"), event ? `${clockText(event.at_ms)}  ${event.text}` : "");
+  say(foot.querySelector(".event"), event ? `${clockText(event.at_ms)}  ${begun(event.text)}` : "");
   say(byId("notice"), notice && performance.now() - notice.at < NOTICE_MS ? notice.text : "");
   const keys = HINTS.map(([id, label]) => [keyOf(id), label, id]).filter(([key]) => key);
   const words = keys.flat().join("|") + state.list.undo;

@@ -168,7 +168,7 @@ function words(point) {
 
 function stateOf(point) {
   if (point.status === "half") return `half: missing in ${selected()[point.pi ? 1 : 0]}`;
-  if (point.status === "pending" && broken()) return "kept here, not confirmed";
+  if (point.status === "pending" && broken()) return "kept here";
   if (point.reason && point.status !== "confirmed")
     return point.status === "outlier" ? SAYS.outlier : `${SAYS[point.status]}: ${point.reason}`;
   return SAYS[point.status] ?? point.status;
