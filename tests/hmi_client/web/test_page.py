@@ -201,7 +201,7 @@ def test_without_a_server_all_is_greyed_and_stamped_and_the_broken_leg_is_named(
     assert all(s.inner_text().endswith("s old") for s in stamps)
     assert page.evaluate("getComputedStyle(document.querySelector('#map canvas')).filter") != "none"
     assert "2 clicks not confirmed yet" in page.inner_text("footer .kept")
-    assert page.locator("#pair .say.pending").first.inner_text() == "kept here, not confirmed"
+    assert page.locator("#pair .say.pending").first.inner_text() == "kept here"
     shot(page, "gone")
 
 

@@ -11,7 +11,7 @@ const bar = document.getElementById("bar");
 const touchbar = document.getElementById("touchbar");
 const SETTLED_MS = 250; // what has just come under a hand was not meant by it
 let deed = "",
-  deedAt = 0;
+  deedAt = -SETTLED_MS;
 const now = el("div", "now"),
   why = el("dl", "facts"),
   actions = el("div", "actions");
@@ -32,7 +32,7 @@ function draw() {
   const kick = step.kick || left;
   const marks = step.dots ? dots() : [];
   const first = step.actions[0]?.do ?? "";
-  if (first !== deed) [deed, deedAt] = [first, performance.now()];
+  if (first !== deed) [deed, deedAt] = [first, deed ? performance.now() : -SETTLED_MS]; // where nothing was, nothing else was meant
   bar.className = `bar ${step.tone}`;
   fill("now", [kick, right, marks, step.title, selected()], () =>
     now.replaceChildren(
