@@ -55,6 +55,7 @@ class Client:
         self._intake = Intake(session, keys)
         self._inbox: Slots[Arrived] = Slots()
         self._stop = threading.Event()
+        self._state_turn = threading.Lock()  # states are opened in the order in which they came
         self._state_due_s = 0.0
         self._waiting_state: Sample | None = None
         self._threads: list[threading.Thread] = []
@@ -153,12 +154,32 @@ class Client:
     def _arrived(self, sample: Sample) -> None:
         """Opens what came, in the subscriber's thread: so nothing damaged takes the place of
         something good that waits to be read. Nor does what another process says for the server.
-        The state of a large fleet takes 10 ms to open: what comes faster than anybody looks waits.
         """
-        if sample.key == self.keys.state and time.monotonic() < self._state_due_s:
-            self._waiting_state = sample
-            return
+        if sample.key == self.keys.state:
+            self._state_arrived(sample)
+        else:
+            self._take(sample)
+
+    def _take(self, sample: Sample) -> None:
         self._survive(sample.key, lambda: self._inbox.store(self._opened(sample)))
+
+    def _state_arrived(self, sample: Sample) -> None:
+        """The state of a large fleet takes 10 ms to open: after a good one the newest of those that
+        come faster than anybody looks waits its turn.
+        """
+        with self._state_turn:
+            if time.monotonic() < self._state_due_s:
+                self._waiting_state = sample
+            else:
+                self._waiting_state = None
+                self._take(sample)
+
+    def _take_waiting_state(self) -> None:
+        with self._state_turn:
+            waiting = self._waiting_state
+            if waiting is not None and time.monotonic() >= self._state_due_s:
+                self._waiting_state = None
+                self._take(waiting)
 
     def _opened(self, sample: Sample) -> Arrived:
         arrived = self._intake.open(sample)
@@ -166,7 +187,7 @@ class Client:
         if epoch is not None and self._server is not None:
             self._server.check(epoch, f"a {type(arrived.content).__name__}")
         if isinstance(arrived.content, FleetState):  # a good one: until then each is opened
-            self._state_due_s, self._waiting_state = time.monotonic() + STATE_S, None
+            self._state_due_s = time.monotonic() + STATE_S
         return arrived
 
     def _read(self) -> None:
@@ -174,9 +195,7 @@ class Client:
             arrived = self._inbox.take(STATE_S)
             if arrived is not None:
                 self._survive(arrived.key, lambda one=arrived: self._intake.tell(one.content))
-            waiting = self._waiting_state
-            if waiting is not None and time.monotonic() >= self._state_due_s:
-                self._arrived(waiting)
+            self._take_waiting_state()
 
     def _survive(self, key: str, work: Callable[[], None]) -> None:
         try:

@@ -1,12 +1,14 @@
 """The client between a session and a fake server, over real zenoh."""
 
+import pytest
 from hmi_fakes import alignment, fleet, pose, view, wait_for
 
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.network.client import Client
 from fleetpose.protocol.codec import encoding_of, pack
 from fleetpose.protocol.keys import Keys
-from fleetpose.protocol.transport import Link, SessionSettings, open_session
+from fleetpose.protocol.messages import FleetState
+from fleetpose.protocol.transport import Link, Sample, SessionSettings, open_session
 
 LIAR = "f" * 12
 
@@ -114,6 +116,30 @@ def test_garbage_is_counted_and_harmless(client_of, serve):
     wait_for(lambda: client.drops["not msgpack"] == 1)
     n = session.fleet.n
     wait_for(lambda: session.fleet.n > n)
+
+
+def test_of_states_that_come_fast_the_newest_is_told_and_a_damaged_one_counts_once(monkeypatch):
+    session = OperatorSession("anna")
+    client = Client(session, Keys("demo"), lambda: pytest.fail("nothing is connected to"))
+    opened, intake = [], client._intake.open
+    monkeypatch.setattr(client._intake, "open", lambda s: opened.append(s) or intake(s))
+
+    def said(payload):
+        client._arrived(Sample(client.keys.state, payload, encoding_of(FleetState)))
+
+    client._run("reads", client._read)
+    try:
+        for n in range(1, 51):
+            said(pack(fleet(6, n=n)))
+        wait_for(lambda: session.fleet is not None and session.fleet.n == 50)
+        assert len(opened) < 25
+        said(b"\xc1garbage")
+        wait_for(lambda: client.drops["not msgpack"] == 1)
+        said(pack(fleet(6, n=51)))
+        wait_for(lambda: session.fleet.n == 51)
+        assert client.drops["not msgpack"] == 1
+    finally:
+        client.close()
 
 
 def test_what_another_process_says_for_the_server_is_refused_counted_and_changes_nothing(
