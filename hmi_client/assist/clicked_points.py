@@ -3,6 +3,7 @@ are enough, far enough apart, not on one line, and whether the distances between
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -102,15 +103,12 @@ class ClickedPoints:
         """Which of them are not as far apart in one image as in the other: of those in the same
         two views.
         """
-        known = [
-            (n, (e.pick.view_i, e.pick.view_j), *halves)
-            for n, e in enumerate(entries, start=1)
-            if is_live(e) and None not in (halves := self.lifted(e.pick))
-        ]
-        found: list[Misfit] = []
-        for views in dict.fromkeys(views for _, views, _, _ in known):
-            same = [(n, i, j) for n, of, i, j in known if of == views]
-            found += _misfits([(n, i, j) for n, i, j in same if i and j])
+        by_views: defaultdict[object, list[tuple[int, Lifted, Lifted]]] = defaultdict(list)
+        for n, entry in enumerate(entries, start=1):
+            in_i, in_j = self.lifted(entry.pick)
+            if is_live(entry) and in_i and in_j:
+                by_views[entry.pick.view_i, entry.pick.view_j].append((n, in_i, in_j))
+        found = [misfit for points in by_views.values() for misfit in _misfits(points)]
         return sorted(found, key=lambda misfit: (misfit.a, misfit.b))
 
     def misfit(self, a: Pick, b: Pick) -> Misfit | None:

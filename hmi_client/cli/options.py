@@ -73,6 +73,7 @@ LogFile = Annotated[
     Path | None,
     typer.Option(help="log file [default: in the state folder]", callback=given_before),
 ]
+OpenBrowser = Annotated[bool, typer.Option("--open/--no-open", help="show the page in the browser")]
 Theme = Annotated[
     Literal["auto", "dark", "light", "mono"],
     typer.Option(

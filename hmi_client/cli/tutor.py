@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from fleetpose.hmi_client.cli.options import Fps, KeysFile, Theme
+from fleetpose.hmi_client.cli.options import Fps, KeysFile, OpenBrowser, Theme
 from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.protocol.commands import examples
 
@@ -23,9 +23,7 @@ def tutor(
     listen: Annotated[
         str, typer.Option(help="with --web: HOST:PORT of the page; port 0: any")
     ] = "127.0.0.1:0",
-    open_browser: Annotated[
-        bool, typer.Option("--open/--no-open", help="with --web: show it in the browser")
-    ] = True,
+    open_browser: OpenBrowser = True,
     apart: Annotated[
         str, typer.Option(help="robots that the machine may not join to the others: r4,r5")
     ] = "",

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from fleetpose.hmi_client.cli import connection as c
-from fleetpose.hmi_client.cli.options import KeysFile, LogFile, Threshold
+from fleetpose.hmi_client.cli.options import KeysFile, LogFile, OpenBrowser, Threshold
 from fleetpose.protocol.commands import examples
 
 app = typer.Typer()
@@ -17,9 +17,7 @@ def web(
     listen: Annotated[
         str, typer.Option(help="where pages are served, HOST:PORT")
     ] = "127.0.0.1:8642",
-    open_browser: Annotated[
-        bool, typer.Option("--open/--no-open", help="show the page in the browser")
-    ] = True,
+    open_browser: OpenBrowser = True,
     replay: Annotated[
         Path | None, typer.Option(help="show a recorded session; needs no server")
     ] = None,

@@ -118,7 +118,6 @@ class FleetApp(App[None]):
         self.set_keymap(bindings.changed_keys(self.keymap))
         self.view.give_keys(self.matrix)
         self.set_interval(self._period_s, self.tick)
-
         if not self.is_headless:  # whoever ends the process gets the terminal back as it was
             for ending in (signal.SIGTERM, signal.SIGHUP):
                 asyncio.get_running_loop().add_signal_handler(ending, self.exit)

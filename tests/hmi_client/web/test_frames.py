@@ -4,6 +4,7 @@ import sys
 import threading
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -17,6 +18,7 @@ from fleetpose.hmi_client.model.records import Picture
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.web import frames
 from fleetpose.hmi_client.web.clouds import Clouds, points_in_robot
+from fleetpose.hmi_client.web.outlook import Thrift, compressed
 from fleetpose.protocol.clouds import encode_scattered
 from fleetpose.protocol.errors import UnreachableError
 from fleetpose.protocol.messages import Salient, View
@@ -32,6 +34,24 @@ def unpacked(frame: bytes, n: int) -> tuple[np.ndarray, np.ndarray]:
     states[upper] = np.frombuffer(frame, np.uint8, count, 8 + 2 * count)
     assert len(frame) == 8 + 3 * count
     return values, states
+
+
+def test_a_slow_page_gets_images_of_the_same_size_in_fewer_bytes_until_it_is_quick_again():
+    thrift = Thrift()
+    assert thrift.quality == 100
+    qualities = []
+    for took_s in (1.0,) * 5 + (0.3,) + (0.05,) * 5:
+        thrift.drawn(took_s)
+        qualities.append(thrift.quality)
+    assert qualities[3] == qualities[5] == min(qualities) and qualities[-1] == 100
+    pixels = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
+    _, jpeg = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 92])
+    picture = Picture(view("r1"), jpeg.tobytes(), 2, 0.0)
+    less = compressed(picture, 20)
+    assert len(less.jpeg) < len(picture.jpeg) and (less.view, less.scale) == (picture.view, 2)
+    assert cv2.imdecode(np.frombuffer(less.jpeg, np.uint8), 1).shape == pixels.shape
+    damaged = Picture(view("r1"), b"\xff\xd8abc", 2, 0.0)
+    assert compressed(damaged, 20) is damaged
 
 
 def test_an_image_goes_through_untouched():

@@ -123,12 +123,7 @@ def _silent_server(bench: Bench, page: Any) -> list[Row]:
     before = len(bench.site.received())
     bench.site.silence_server(True)
     began_s = time.monotonic()
-    for _ in range(2):
-        page.keyboard.press("4")
-        page.keyboard.press("Space")
-        hands.wait_knows(page, "state.list.half && state.active === 1")
-        page.keyboard.press("Space")
-        hands.wait_knows(page, "!state.list.half")
+    hands.pick_by_keys(page, 2)
     says = "() => /nothing heard|no server/i.test(document.querySelector('#bar h1').textContent)"
     said = became(page, says, timeout_s=10.0)
     took_s = time.monotonic() - began_s if said else None

@@ -100,12 +100,7 @@ def _to_silence(page: Any, site: PiecesSite) -> Callable[[], None]:
     """Two clicks at a server that does not hear them."""
     hands.wait_knows(page, "state.health.unconfirmed === 0")
     site.silence_server(True)
-    for _ in range(2):
-        page.keyboard.press("4")
-        page.keyboard.press("Space")
-        hands.wait_knows(page, "state.list.half && state.active === 1")
-        page.keyboard.press("Space")
-        hands.wait_knows(page, "!state.list.half")
+    hands.pick_by_keys(page, 2)
     hands.wait_knows(page, "state.health.server === 'gone' && state.health.kept", _SILENT_S)
     return lambda: site.silence_server(False)
 

@@ -32,7 +32,8 @@ function draw() {
   const kick = step.kick || left;
   const marks = step.dots ? dots() : [];
   const first = step.actions[0]?.do ?? "";
-  if (first !== deed) [deed, deedAt] = [first, deed ? performance.now() : -SETTLED_MS]; // where nothing was, nothing else was meant
+  // where no button was before, no other one was meant
+  if (first !== deed) [deed, deedAt] = [first, deed ? performance.now() : -SETTLED_MS];
   bar.className = `bar ${step.tone}`;
   fill("now", [kick, right, marks, step.title, selected()], () =>
     now.replaceChildren(
