@@ -7,7 +7,7 @@ from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.network.client import Client
 from fleetpose.protocol.codec import encoding_of, pack
 from fleetpose.protocol.keys import Keys
-from fleetpose.protocol.messages import FleetState
+from fleetpose.protocol.messages import FleetState, RobotPose
 from fleetpose.protocol.transport import Link, Sample, SessionSettings, open_session
 
 LIAR = "f" * 12
@@ -135,6 +135,10 @@ def test_of_states_that_come_fast_the_newest_is_told_and_a_damaged_one_counts_on
         assert len(opened) < 25
         said(b"\xc1garbage")
         wait_for(lambda: client.drops["not msgpack"] == 1)
+        for n in (100, 101):  # the reader goes round
+            told = pose("r1", 100.0 + n, 0.0, n=n)
+            client._arrived(Sample(client.keys.pose("r1"), pack(told), encoding_of(RobotPose)))
+            wait_for(lambda n=n: session.poses()["r1"].n == n)
         said(pack(fleet(6, n=51)))
         wait_for(lambda: session.fleet.n == 51)
         assert client.drops["not msgpack"] == 1
