@@ -7,6 +7,7 @@ Callbacks open what came and store it. Three threads work: one reads, one sends
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 
 from fleetpose.hmi_client.model.records import Picture
@@ -24,7 +25,10 @@ from fleetpose.protocol.transport import Link, Sample, Slots
 
 log = logging.getLogger(__name__)
 
-STATE_S = 0.25  # from one state to the next that is opened: maps and matrices are drawn at 2 Hz
+STATE_SHARE = 0.03  # of a core that opening the fleet's state may take: 10 ms each at 72 robots
+LONGEST_PAUSE_S = 0.5  # between states, however long one took: maps and matrices are drawn at 2 Hz
+MOST_WAITING = 8  # states: the server tells ten in a second
+READ_S = 0.25
 
 
 class Client:
@@ -57,7 +61,7 @@ class Client:
         self._stop = threading.Event()
         self._state_turn = threading.Lock()  # states are opened in the order in which they came
         self._state_due_s = 0.0
-        self._waiting_state: Sample | None = None
+        self._waiting_states: deque[Sample] = deque(maxlen=MOST_WAITING)
         self._threads: list[threading.Thread] = []
 
     def start(self) -> None:
@@ -156,46 +160,42 @@ class Client:
         something good that waits to be read. Nor does what another process says for the server.
         """
         if sample.key == self.keys.state:
-            self._state_arrived(sample)
+            with self._state_turn:
+                self._take_due_states()  # before a newer one takes their place
+                self._waiting_states.append(sample)
+                self._take_due_states()
         else:
             self._take(sample)
 
     def _take(self, sample: Sample) -> None:
         self._survive(sample.key, lambda: self._inbox.store(self._opened(sample)))
 
-    def _state_arrived(self, sample: Sample) -> None:
-        """The state of a large fleet takes 10 ms to open: after a good one the newest of those that
-        come faster than anybody looks waits its turn.
+    def _take_due_states(self) -> None:
+        """Opens the newest of the states that came since the last one, once that has cost no more
+        than its share. A damaged one counts, and takes the place of none before it.
         """
-        with self._state_turn:
-            if time.monotonic() < self._state_due_s:
-                self._waiting_state = sample
-            else:
-                self._waiting_state = None
-                self._take(sample)
-
-    def _take_waiting_state(self) -> None:
-        with self._state_turn:
-            waiting = self._waiting_state
-            if waiting is not None and time.monotonic() >= self._state_due_s:
-                self._waiting_state = None
-                self._take(waiting)
+        while self._waiting_states and time.monotonic() >= self._state_due_s:
+            self._take(self._waiting_states.pop())
 
     def _opened(self, sample: Sample) -> Arrived:
+        began_s = time.monotonic()
         arrived = self._intake.open(sample)
         epoch = getattr(arrived.content, "server_epoch", None)
         if epoch is not None and self._server is not None:
             self._server.check(epoch, f"a {type(arrived.content).__name__}")
-        if isinstance(arrived.content, FleetState):  # a good one: until then each is opened
-            self._state_due_s = time.monotonic() + STATE_S
+        if isinstance(arrived.content, FleetState):  # a good one: those before it are old
+            self._waiting_states.clear()
+            now_s = time.monotonic()
+            self._state_due_s = now_s + min((now_s - began_s) / STATE_SHARE, LONGEST_PAUSE_S)
         return arrived
 
     def _read(self) -> None:
         while not self._stop.is_set():
-            arrived = self._inbox.take(STATE_S)
+            arrived = self._inbox.take(READ_S)
             if arrived is not None:
                 self._survive(arrived.key, lambda one=arrived: self._intake.tell(one.content))
-            self._take_waiting_state()
+            with self._state_turn:
+                self._take_due_states()
 
     def _survive(self, key: str, work: Callable[[], None]) -> None:
         try:

@@ -1,5 +1,7 @@
 """The client between a session and a fake server, over real zenoh."""
 
+import time
+
 import pytest
 from hmi_fakes import alignment, fleet, pose, view, wait_for
 
@@ -133,6 +135,7 @@ def test_of_states_that_come_fast_the_newest_is_told_and_a_damaged_one_counts_on
             said(pack(fleet(6, n=n)))
         wait_for(lambda: session.fleet is not None and session.fleet.n == 50)
         assert len(opened) < 25
+        wait_for(lambda: time.monotonic() > client._state_due_s)
         said(b"\xc1garbage")
         wait_for(lambda: client.drops["not msgpack"] == 1)
         for n in (100, 101):  # the reader goes round
@@ -142,6 +145,11 @@ def test_of_states_that_come_fast_the_newest_is_told_and_a_damaged_one_counts_on
         said(pack(fleet(6, n=51)))
         wait_for(lambda: session.fleet.n == 51)
         assert client.drops["not msgpack"] == 1
+        client._state_due_s = time.monotonic() + 0.5  # as after one that took long to open
+        for payload in (pack(fleet(6, n=52)), b"\xc1garbage", b"\xc1garbage"):
+            said(payload)
+        assert session.fleet.n == 51
+        wait_for(lambda: session.fleet.n == 52 and client.drops["not msgpack"] == 3)
     finally:
         client.close()
 
