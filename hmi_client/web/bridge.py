@@ -39,7 +39,6 @@ class Page:
 
     def __init__(self, socket: WebSocket, link: DeskLink, counts: Counter[str]) -> None:
         self.images, self.matrix, self.clouds = True, True, False
-        self.drawn: list[int | None] = [None, None]  # images that are before the eyes
         self._socket, self._link, self._counts = socket, link, counts
         self._loop, self._woken = asyncio.get_running_loop(), asyncio.Event()
         self._own: list[str] = []
@@ -129,7 +128,7 @@ class Page:
     def _drawn(self, args: Mapping[str, int]) -> None:
         side, view = args.get("side"), args.get("view")
         if side is not None and self._unseen[side] == view:
-            self._unseen[side], self.drawn[side] = None, view
+            self._unseen[side] = None
             self._thrift.drawn(time.monotonic() - self._sent_s[side])
             self._woken.set()
 

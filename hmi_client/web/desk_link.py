@@ -47,7 +47,6 @@ class Guest(Protocol):
     images: bool
     matrix: bool
     clouds: bool
-    drawn: list[int | None]
 
     def wake(self) -> None:
         """There is something new to be sent."""
@@ -198,9 +197,8 @@ class DeskLink:
         if heard.do == "go" and "pixel" in args:
             desk.do("cursor", side=args.get("side"), pixel=args.pop("pixel"))
         before = desk.cursor(0), desk.cursor(1)
-        if heard.do == "pick":
-            side = args.get("side", desk.side)
-            args["beside"] = self.pictures.known(guest.drawn[1 - side])
+        if "beside" in args:
+            args["beside"] = self.pictures.known(args["beside"])
         desk.do(heard.do, **args)
         for side in (0, 1):
             now = desk.cursor(side)

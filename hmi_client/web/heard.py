@@ -93,6 +93,7 @@ _ARGUMENTS: Mapping[str, Callable[[Any], bool]] = {
     "side": lambda value: type(value) is int and value in (0, 1),
     "pixel": _is_pixel,
     "view": _is_count,
+    "beside": _is_count,
     "id": _is_count,
     "number": _is_count,
     "a": _is_text,

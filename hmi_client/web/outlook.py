@@ -114,9 +114,9 @@ class Pictures:
             raise OperatorError("that image has gone: look at the newest one and pick again")
         return self._kept[id]
 
-    def known(self, id: int | None) -> Picture | None:
+    def known(self, id: int) -> Picture | None:
         """The picture that a page calls by a number; none if it was too long ago."""
-        return None if id is None else self._kept.get(id)
+        return self._kept.get(id)
 
     def _of(self, desk: Desk, side: int) -> Shown | None:
         picture, pair = desk.picture(side), desk.session.pair

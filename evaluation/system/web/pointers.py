@@ -39,14 +39,15 @@ class Pointer:
         self._touch("touchEnd")
 
     def _mouse(self, type: str, x: float, y: float) -> None:
-        told = {"x": self._whole(x), "y": self._whole(y), "pointerType": self.kind}
+        told = {"x": self.whole(x), "y": self.whole(y), "pointerType": self.kind}
         button = {} if type == "mouseMoved" else {"button": "left", "clickCount": 1}
         held = {"buttons": 1} if type == "mousePressed" else {}
         self._protocol.send("Input.dispatchMouseEvent", {"type": type, **told, **button, **held})
 
     def _touch(self, type: str, x: float | None = None, y: float = 0.0) -> None:
-        at = [] if x is None else [{"x": self._whole(x), "y": self._whole(y)}]
+        at = [] if x is None else [{"x": self.whole(x), "y": self.whole(y)}]
         self._protocol.send("Input.dispatchTouchEvent", {"type": type, "touchPoints": at})
 
-    def _whole(self, place: float) -> float:
+    def whole(self, place: float) -> float:
+        """The nearest place that a device can tell, CSS pixels."""
         return round(place * self._dpr) / self._dpr

@@ -143,6 +143,7 @@ def test_after_the_first_click_the_other_image_shows_where_the_point_is_expected
     page.keyboard.press("Space")
     sent = bridge[0].wait_for("pick")
     assert (sent["side"], sent["pixel"], sent["view"]) == (1, [446.6, 503.1], 38)
+    assert sent["beside"] == 41
 
 
 def test_tab_is_taken_only_while_a_suggestion_is_shown_and_escape_gives_it_back(opened, bridge):

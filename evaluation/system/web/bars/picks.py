@@ -79,6 +79,7 @@ class Picker:
             off = self._off(side, pixel)
             self._pointer.click(x + off[0], y + off[1])
             return
+        x, y = self._pointer.whole(x), self._pointer.whole(y)  # so that it rounds the end alone
         for _ in range(_DRAGS):
             off = self._off(side, pixel)
             if np.hypot(*off) < 0.75:
@@ -106,13 +107,25 @@ class Picker:
 
     def _press_pick(self) -> None:
         if self._pointer.kind == "touch":
-            box = self._page.locator("[data-deed=pick]:visible").first.bounding_box()
-            self._pointer.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+            left, top, width, height = self._box_of("[data-deed=pick]:visible")
+            self._pointer.click(left + width / 2, top + height / 2)
         else:
             self._page.keyboard.press("Space")
 
     def _box(self, side: int, canvas: str) -> tuple[float, float, float, float]:
-        box = self._page.locator(f"{hands.SIDES[side]} canvas.{canvas}").bounding_box()
+        return self._box_of(f"{hands.SIDES[side]} canvas.{canvas}")
+
+    def _box_of(self, what: str) -> tuple[float, float, float, float]:
+        """Left, top, width and height; a button may be drawn anew while it is looked for."""
+        found: list[Any] = []
+
+        def is_there() -> bool:
+            found[:] = [self._page.locator(what).first.bounding_box()]
+            return found[0] is not None
+
+        if not wait_until(is_there, _RECEIVED_S):
+            raise FleetPoseError(f"there is no {what} in the page")
+        (box,) = found
         return box["x"], box["y"], box["width"], box["height"]
 
 

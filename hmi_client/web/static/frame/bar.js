@@ -10,8 +10,9 @@ import { keyOf } from "./keys.js";
 const bar = document.getElementById("bar");
 const touchbar = document.getElementById("touchbar");
 const SETTLED_MS = 250; // what has just come under a hand was not meant by it
-let deed = "",
-  deedAt = -SETTLED_MS;
+const since = new WeakMap(); // from when on each button is where it is
+let primary = "",
+  primaryAt = -SETTLED_MS;
 const now = el("div", "now"),
   why = el("dl", "facts"),
   actions = el("div", "actions");
@@ -31,9 +32,8 @@ function draw() {
   const [left, right] = step.dots ? kickText() : [step.kick, ""];
   const kick = step.kick || left;
   const marks = step.dots ? dots() : [];
-  const first = step.actions[0]?.do ?? "";
-  // where no button was before, no other one was meant
-  if (first !== deed) [deed, deedAt] = [first, deed ? performance.now() : -SETTLED_MS];
+  const first = step.actions.find((action) => action.primary)?.do ?? "";
+  if (first !== primary) [primary, primaryAt] = [first, from(primary)];
   bar.className = `bar ${step.tone}`;
   fill("now", [kick, right, marks, step.title, selected()], () =>
     now.replaceChildren(
@@ -58,10 +58,21 @@ function fill(part, words, drawn) {
 
 function offer(step) {
   const focused = document.activeElement?.dataset?.deed;
-  actions.replaceChildren(...step.actions.map(actionButton));
-  touchbar.replaceChildren(...step.actions.map(actionButton), ...touchButtons(step));
+  place(actions, step.actions.map((action) => actionButton(actions, action)));
+  place(touchbar, [...step.actions.map((action) => actionButton(touchbar, action)), ...touchButtons(step)]);
   if (focused) document.querySelector(`[data-deed="${CSS.escape(focused)}"]`)?.focus();
 }
+
+/** Puts buttons into a box, and notes which have come where another one was. */
+function place(box, nodes) {
+  const before = [...box.children];
+  nodes.forEach((node, k) => before[k] === node || since.set(node, from(before[k])));
+  box.replaceChildren(...nodes);
+}
+
+/** From when on something counts: at once where nothing was before it, for then no other was meant. */
+const from = (before) => (before ? performance.now() : -SETTLED_MS);
+const settled = (at) => performance.now() - at > SETTLED_MS;
 
 /** Robots of the selection are red wherever they are named. */
 function title(text) {
@@ -115,18 +126,18 @@ function legs([page, server]) {
   ];
 }
 
-function actionButton(action) {
+/** The button of an action in a box: the one that is there already, if it is the same. */
+function actionButton(box, action) {
   const taken = action.do === "accept" && !state.assist.suggestion; // Tab is the browser's until a suggestion is shown
   const key = taken ? "Enter" : keyOf(action.do) || action.key;
-  const node = button(`button${action.primary ? " primary" : ""}`, sentence(action.label), key, () =>
-    meant(action),
-  );
-  node.dataset.deed = action.do;
+  const shows = JSON.stringify([action, key]);
+  const same = [...box.children].find((node) => node.dataset.shows === shows);
+  if (same) return same;
+  const node = button(`button${action.primary ? " primary" : ""}`, sentence(action.label), key, () => {
+    if (settled(since.get(node))) run(action.do, action.args ?? {});
+  });
+  Object.assign(node.dataset, { deed: action.do, shows });
   return node;
-}
-
-function meant(action) {
-  if (performance.now() - deedAt > SETTLED_MS) run(action.do, action.args ?? {});
 }
 
 /** A tablet has no keys: undo, named, and the next question are always there. */
@@ -142,6 +153,6 @@ function touchButtons(step) {
 /** What Enter does where nothing else takes it. */
 export function primaryAction() {
   const action = stepNow().actions.find((a) => a.primary);
-  if (action) meant(action);
+  if (action && settled(primaryAt)) run(action.do, action.args ?? {});
   return !!action;
 }

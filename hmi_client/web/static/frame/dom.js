@@ -8,13 +8,35 @@ export function el(tag, className = "", ...children) {
   return node;
 }
 
+const TAP = 16; // CSS pixels that a finger may roll: what Chromium and Android allow is 15
+
 /** A button that shows its key. */
 export function button(className, label, key, click) {
   const node = el("button", className, label);
   if (key) node.append(el("kbd", "", key));
   node.type = "button";
   node.addEventListener("click", click);
+  onTap(node, click);
   return node;
+}
+
+/** A tap counts as the finger is lifted: browsers make no click of one that soon follows a drag. */
+function onTap(node, deed) {
+  let from = null;
+  const place = ({ clientX, clientY }) => [clientX, clientY];
+  node.addEventListener(
+    "touchstart",
+    (e) => (from = e.touches.length === 1 ? place(e.touches[0]) : null),
+    { passive: true },
+  );
+  node.addEventListener("touchcancel", () => (from = null));
+  node.addEventListener("touchend", (e) => {
+    if (!from || node.disabled) return;
+    const [x, y] = place(e.changedTouches[0]);
+    if (Math.hypot(x - from[0], y - from[1]) > TAP) return;
+    e.preventDefault(); // no click as well, which might meet what comes in this button's place
+    deed(e);
+  });
 }
 
 /** Sets text only where it differs, so that nothing is laid out or spoken anew. */

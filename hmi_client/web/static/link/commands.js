@@ -50,7 +50,9 @@ function aim(id) {
   if (!["pick", "snap", "move", "erase", "go"].includes(id)) return {};
   const side = state.active;
   const place = { side, pixel: state.cursors[side] };
-  const view = imageOf(side)?.view;
+  const view = imageOf(side)?.view,
+    beside = imageOf(1 - side)?.view;
+  if (id === "pick") return { ...place, view, beside }; // what lies before the eyes is what is held
   if (id === "erase" && state.current !== null) return { id: state.current };
   return view === undefined || id === "erase" || id === "move" ? place : { ...place, view };
 }
