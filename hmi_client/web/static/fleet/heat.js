@@ -54,11 +54,10 @@ export class HeatMap {
   paint(ctx, width, height) {
     if (!this.told || width < EDGE + 20) return;
     const { cell, css, ratio } = this.size(width, height);
-    ctx.putImageData(
-      squares(ctx, this.told.matrix, cell),
-      Math.round(EDGE * ratio),
-      Math.round(EDGE * ratio),
-    );
+    const shows = [this.told.matrix, cell, document.documentElement.dataset.theme];
+    if (shows.some((value, k) => value !== this.shows?.[k]))
+      [this.shows, this.picture] = [shows, squares(ctx, this.told.matrix, cell)];
+    ctx.putImageData(this.picture, Math.round(EDGE * ratio), Math.round(EDGE * ratio));
     this.mark(ctx, css);
     this.names(ctx, css);
   }

@@ -43,7 +43,7 @@ export function startMap() {
     view.follow = !view.follow;
     surface.draw();
   });
-  watch(["poses", "names", "list", "matrix", "clouds", "theme", "questions"], () => {
+  watch(["poses", "names", "selection", "matrix", "clouds", "theme", "questions"], () => {
     drawApart();
     surface.draw();
   });
@@ -169,18 +169,18 @@ function ground(ctx, at) {
 function links(ctx, at, located) {
   if (!state.matrix || state.matrix.n !== state.names.length) return;
   ctx.lineWidth = 1;
-  for (const a of located)
-    for (const b of located) {
-      if (a.k >= b.k) continue;
-      const { verdict, state: known } = state.matrix.at(a.k, b.k);
-      if (known !== "tried" || verdict === "rejected" || !verdict) continue;
-      ctx.setLineDash(verdict === "verified" ? [] : [4, 4]);
-      ctx.strokeStyle = colour(verdict === "verified" ? "link" : "link-weak");
-      ctx.beginPath();
-      ctx.moveTo(...at(a.x, a.y));
-      ctx.lineTo(...at(b.x, b.y));
-      ctx.stroke();
+  const place = new Map(located.map((p) => [p.k, at(p.x, p.y)]));
+  for (const proven of [false, true]) {
+    ctx.setLineDash(proven ? [] : [4, 4]);
+    ctx.strokeStyle = colour(proven ? "link" : "link-weak");
+    ctx.beginPath();
+    for (const { a, b, verdict } of state.matrix.links) {
+      if ((verdict === "verified") !== proven || !place.has(a) || !place.has(b)) continue;
+      ctx.moveTo(...place.get(a));
+      ctx.lineTo(...place.get(b));
     }
+    ctx.stroke();
+  }
   ctx.setLineDash([]);
 }
 

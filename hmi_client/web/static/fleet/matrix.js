@@ -30,7 +30,8 @@ let heat = null,
 /** Draws on each change; gives `step(dx, dy)` for the arrows. */
 export function startMatrix() {
   heat = new HeatMap({ choose, hover });
-  watch(["matrix", "names", "list", "mode", "theme", "welcome"], draw);
+  watch(["matrix", "names", "selection", "mode", "theme", "welcome"], draw);
+  watch(["list"], () => say(limit, state.list.threshold_m ? `- above ${lengthText(state.list.threshold_m)}` : ""));
   return { step };
 }
 
@@ -46,7 +47,6 @@ function draw() {
     cursor = chosen;
   panel.dataset.pair = String(chosen);
   say(title, heading());
-  say(limit, state.list.threshold_m ? `- above ${lengthText(state.list.threshold_m)}` : "");
   if (words) fill(chosen);
   else heat.draw(matrix, names, chosen, cursor);
   tell();

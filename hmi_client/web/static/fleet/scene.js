@@ -40,7 +40,7 @@ export function startScene() {
     touched = false;
     surface.draw();
   });
-  watch(["clouds", "poses", "names", "list", "matrix", "theme", "mode", "panel"], () => {
+  watch(["clouds", "poses", "names", "selection", "matrix", "theme", "mode", "panel"], () => {
     const lost = missing();
     say(
       note,
@@ -224,16 +224,15 @@ function floor(ctx, camera) {
 function links(ctx, camera, robots) {
   const { matrix, names } = state;
   if (!matrix || matrix.n !== names.length) return;
-  for (const a of robots)
-    for (const b of robots) {
-      if (a.k >= b.k) continue;
-      const cell = matrix.at(a.k, b.k);
-      if (cell.state !== "tried" || !["verified", "plausible"].includes(cell.verdict)) continue;
-      ctx.setLineDash(cell.verdict === "verified" ? [] : [4, 4]);
-      stroke(ctx, colour(cell.verdict === "verified" ? "link" : "link-weak"), 1, () =>
-        line(ctx, camera, a.at, b.at),
-      );
-    }
+  const at = new Map(robots.map((robot) => [robot.k, robot.at]));
+  for (const verdict of ["plausible", "verified"]) {
+    ctx.setLineDash(verdict === "verified" ? [] : [4, 4]);
+    stroke(ctx, colour(verdict === "verified" ? "link" : "link-weak"), 1, () => {
+      for (const link of matrix.links)
+        if (link.verdict === verdict && at.has(link.a) && at.has(link.b))
+          line(ctx, camera, at.get(link.a), at.get(link.b));
+    });
+  }
   ctx.setLineDash([]);
 }
 

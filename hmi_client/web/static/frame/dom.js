@@ -79,6 +79,12 @@ export class Surface {
 }
 
 const root = getComputedStyle(document.documentElement);
+const colours = new Map(); // by theme and role: asking the style costs more than drawing
 
 /** A colour of the theme by its role. */
-export const colour = (role) => root.getPropertyValue(`--${role}`).trim();
+export function colour(role) {
+  const { theme } = document.documentElement.dataset;
+  const name = `${theme} ${role}`;
+  if (!colours.has(name)) colours.set(name, root.getPropertyValue(`--${role}`).trim());
+  return colours.get(name);
+}

@@ -1,6 +1,6 @@
 // Which panels are shown, in which theme; what is seen is told to the bridge, which sends nothing else.
 
-import { el } from "./dom.js";
+import { el, say } from "./dom.js";
 import { state, watch, put, changed, selected } from "../link/store.js";
 import { command, run } from "../link/commands.js";
 import { send } from "../link/socket.js";
@@ -49,7 +49,8 @@ export function startLayout() {
     node.addEventListener("click", () => run(node.dataset.do));
   document.getElementById("tabs").append(...TABS.map(tab));
   watch(["welcome"], restore);
-  watch(["mode", "list", "panel", "welcome", "images"], arrange);
+  watch(["mode", "selection", "panel", "welcome", "images"], arrange);
+  watch(["list"], countBad);
   small.addEventListener("change", arrange);
   document.addEventListener("visibilitychange", want);
   arrange();
@@ -102,8 +103,6 @@ function arrange() {
   );
   for (const node of document.querySelectorAll("[data-tab]"))
     node.setAttribute("aria-selected", String(node.dataset.tab === state.panel));
-  const bad = state.list.points.filter((p) => p.status === "outlier" || p.status === "rejected").length;
-  document.querySelector("[data-tab=pair] .badge").textContent = bad || "";
   for (const id of ["map", "matrix", "pair", "scene"])
     document.getElementById(id).classList.toggle("on", id === (big && state.panel === "scene" ? "map" : state.panel));
   for (const id of ["matrix", "pair"])
@@ -114,6 +113,11 @@ function arrange() {
     );
   save();
   want();
+}
+
+function countBad() {
+  const bad = state.list.points.filter((p) => p.status === "outlier" || p.status === "rejected").length;
+  say(document.querySelector("[data-tab=pair] .badge"), bad ? `${bad}` : "");
 }
 
 /** Moves a panel only where it is not there yet, so that it keeps focus and scroll. */

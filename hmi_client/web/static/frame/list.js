@@ -15,14 +15,20 @@ const [title, count, verdict, rows] = ["h2 .title", ".count", ".verdict", ".rows
 );
 const SPARE = 4; // rows beyond each end of what is visible
 const touch = matchMedia("(max-width: 1240px)");
-let byResidual = false;
+const sight = { top: 0, height: 0 }; // of the rows: asking the page for it lays all of it out
+let byResidual = false,
+  shown = "";
 
 /** Draws the panel on each change, its rows also on scrolling. */
 export function startList() {
   watch(["pair"], () => panel.classList.contains("questions") || drawVerdict());
   watch(["list", "questions", "assist", "names", "mode", "link", "welcome", "why"], draw);
-  rows.addEventListener("scroll", () => drawRows(), { passive: true });
-  new ResizeObserver(() => drawRows()).observe(rows);
+  const look = () => {
+    Object.assign(sight, { top: rows.scrollTop, height: rows.clientHeight });
+    drawRows();
+  };
+  rows.addEventListener("scroll", look, { passive: true });
+  new ResizeObserver(look).observe(rows);
 }
 
 function draw() {
@@ -92,6 +98,7 @@ function drawQuestions() {
               : "Questions come once two robots are here.",
         ),
   );
+  shown = "";
   rows.replaceChildren(...state.questions.map((q, k) => questionRow(q, k)));
 }
 
@@ -127,11 +134,15 @@ function drawRows() {
     h = rowHeight();
   const open = points.findIndex((p) => p.id === (state.assist.wrong?.id ?? state.current));
   const extra = (k) => (open >= 0 && k > open ? moreHeight() : 0);
-  const first = Math.max(0, Math.floor((rows.scrollTop - moreHeight()) / h) - SPARE),
-    last = Math.min(points.length, Math.ceil((rows.scrollTop + rows.clientHeight) / h) + SPARE);
+  const first = Math.max(0, Math.floor((sight.top - moreHeight()) / h) - SPARE),
+    last = Math.min(points.length, Math.ceil((sight.top + sight.height) / h) + SPARE);
+  const seen = points.slice(first, last);
+  const told = [seen, points.length, first, open, h, state.assist.wrong, !!broken(), selected(), byResidual];
+  if (JSON.stringify(told) === shown) return; // rows stay under the hand until they say something else
+  shown = JSON.stringify(told);
   const space = el("div", "space");
   space.style.height = `${points.length * h + (open >= 0 ? moreHeight() : 0)}px`;
-  points.slice(first, last).forEach((point, k) => {
+  seen.forEach((point, k) => {
     const row = pointRow(point, first + k === open);
     row.style.top = `${(first + k) * h + extra(first + k)}px`;
     space.append(row);

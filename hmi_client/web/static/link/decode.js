@@ -23,7 +23,7 @@ export function header(buffer) {
 const STATES = ["unknown", "known", "tried", "unknown"];
 const VERDICTS = ["", "verified", "plausible", "ambiguous", "rejected"];
 
-/** Errors and states of all pairs; `at(a, b)` by indices in either order. */
+/** Errors and states of all pairs; `at(a, b)` by indices in either order, `links` those with a pose. */
 export function matrixOf(buffer, { n, id }) {
   const pairs = (n * (n - 1)) / 2;
   const raw = new Uint16Array(buffer, 8, pairs),
@@ -35,9 +35,22 @@ export function matrixOf(buffer, { n, id }) {
     quantity: id,
     values,
     states,
+    links: linksOf(n, states),
     at: (a, b) => cellOf(values[place(a, b)], states[place(a, b)]),
     place,
   };
+}
+
+/** Pairs that were tried and not rejected: {a, b, verdict}. */
+function linksOf(n, states) {
+  const links = [];
+  let k = 0;
+  for (let a = 0; a < n; a++)
+    for (let b = a + 1; b < n; b++, k++) {
+      const verdict = (states[k] & 3) === 2 ? VERDICTS[(states[k] >> 2) & 7] : "";
+      if (verdict && verdict !== "rejected") links.push({ a, b, verdict });
+    }
+  return links;
 }
 
 /** What the bits of a pair's state say. */

@@ -85,7 +85,10 @@ const HEARD = {
     if (!state.list.pair) selectAgain(null);
   },
   list: (m) => {
-    if (String(m.pair) !== String(state.list.pair)) dropImages();
+    if (String(m.pair) !== String(state.list.pair)) {
+      dropImages();
+      changed("selection");
+    }
     state.told = m;
     put("list", m);
     selectAgain(m.pair);

@@ -1,4 +1,5 @@
-// All that the page knows, and who draws what of it. A change is drawn once per frame.
+// All that the page knows, and who draws what of it. A change is drawn once per frame, and at once
+// where a hand has made it.
 
 const NO_LIST = {
   pair: null,
@@ -69,11 +70,14 @@ export function changed(...topics) {
 }
 
 function flush() {
+  cancelAnimationFrame(frame);
   frame = 0;
   const draws = [...dirty];
   dirty.clear();
   for (const draw of draws) draw();
 }
+
+for (const hand of ["keydown", "pointerup", "click"]) addEventListener(hand, flush);
 
 /** Puts a value and says so. */
 export function put(topic, value) {
