@@ -42,7 +42,8 @@ class Hand:
 
     def activate(self, side: int) -> None:
         """Makes a side the one that keys work at, without moving its cross."""
-        self.page.focus(hands.SIDES[side])
+        self.page.keyboard.press("45"[side])
+        hands.wait_knows(self.page, f"state.active === {side}")
 
     def _to_place(self, side: int) -> None:
         self.probe.arm("move", "pointerup", side)

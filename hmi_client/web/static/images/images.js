@@ -137,22 +137,27 @@ export class ImagePanel {
     this.marks(ctx, width, height);
   }
 
-  /** Many marks are drawn once, on a sheet of their own that is laid over the image until they change. */
+  /** Many marks are drawn once, on a sheet of their own that is laid over the image until they change;
+   * those that wait for the server are drawn over it, for they come and go with each click.
+   */
   marks(ctx, width, height) {
-    const { list, assist, typed, marksHidden, theme } = state;
-    if (list.points.length < MANY) return drawMarks(ctx, marksOf(this.side), this.toScreen, width);
+    const marks = marksOf(this.side);
+    if (marks.points.length < MANY || state.marksHidden) return drawMarks(ctx, marks, this.toScreen, width);
+    const known = marks.points.filter((p) => p.id !== null),
+      waiting = marks.points.filter((p) => p.id === null);
     const place = [this.scale(), ...this.middle(), ctx.canvas.width, ctx.canvas.height];
-    const now = [list, assist, typed, marksHidden, theme, ...place];
-    this.sheet ??= { canvas: el("canvas"), shows: [] };
-    const { canvas, shows } = this.sheet;
-    if (now.some((value, k) => value !== shows[k])) {
+    const shows = JSON.stringify([known, place]);
+    this.sheet ??= { canvas: el("canvas"), shows: "" };
+    const { canvas } = this.sheet;
+    if (shows !== this.sheet.shows) {
       [canvas.width, canvas.height] = [ctx.canvas.width, ctx.canvas.height];
       const over = canvas.getContext("2d");
       over.setTransform(ctx.getTransform());
-      drawMarks(over, marksOf(this.side), this.toScreen, width);
-      this.sheet.shows = now;
+      drawMarks(over, { points: known, hints: [] }, this.toScreen, width);
+      this.sheet.shows = shows;
     }
     ctx.drawImage(canvas, 0, 0, width, height);
+    drawMarks(ctx, { ...marks, points: waiting }, this.toScreen, width);
   }
 
   listen(canvas) {
