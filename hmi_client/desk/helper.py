@@ -1,10 +1,14 @@
 """Work that would hold a hand up is done beside it, in a thread."""
 
+import contextlib
+import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+BESIDE = 10  # by which the thread is nicer than what answers a hand
 
 
 class Helper:
@@ -23,7 +27,7 @@ class Helper:
         """Begins with a work; what was asked before under the same name is not taken any more."""
         self.forget(what)
         if self._pool is None:
-            self._pool = ThreadPoolExecutor(1, thread_name_prefix="hmi helper")
+            self._pool = ThreadPoolExecutor(1, "hmi helper", _step_back)
         future = self._pool.submit(work)
         self._asked[what] = future, take
         future.add_done_callback(lambda _: self.ready())
@@ -54,3 +58,9 @@ class Helper:
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
             self._pool = None
+
+
+def _step_back() -> None:
+    """Lets what answers a hand go first: on Linux threads have priorities of their own."""
+    with contextlib.suppress(OSError, AttributeError):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), BESIDE)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import uvicorn
 
 from fleetpose.hmi_client.cli.connection import Connection
@@ -228,6 +229,7 @@ def run_web(
         FleetPoseError: an option is not right, or the port is taken.
     """
     reach.check()
+    cv2.setNumThreads(1)  # what an image shows is worked out beside the hand, not in its place
     served = Served(reach, reach.tokens(where.operator))
     if replay is not None:
         desks, _ = played_desks(replay, keymap, served.fail)
