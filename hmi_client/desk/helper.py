@@ -1,7 +1,7 @@
 """Work that would hold a hand up is done beside it, in a thread."""
 
-import contextlib
 import os
+import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -62,5 +62,5 @@ class Helper:
 
 def _step_back() -> None:
     """Lets what answers a hand go first: on Linux threads have priorities of their own."""
-    with contextlib.suppress(OSError, AttributeError):
+    if sys.platform == "linux":
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), BESIDE)

@@ -63,10 +63,13 @@ function offer(step) {
   if (focused) document.querySelector(`[data-deed="${CSS.escape(focused)}"]`)?.focus();
 }
 
-/** Puts buttons into a box, and notes which have come where another one was. */
+/** Puts buttons into a box, and notes which have come where one of another deed was. */
 function place(box, nodes) {
   const before = [...box.children];
-  nodes.forEach((node, k) => before[k] === node || since.set(node, from(before[k])));
+  nodes.forEach((node, k) => {
+    const same = before[k] && before[k].dataset.deed === node.dataset.deed;
+    since.set(node, same ? since.get(before[k]) : from(before[k]));
+  });
   box.replaceChildren(...nodes);
 }
 

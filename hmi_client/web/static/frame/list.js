@@ -137,9 +137,10 @@ function drawRows() {
   const first = Math.max(0, Math.floor((sight.top - moreHeight()) / h) - SPARE),
     last = Math.min(points.length, Math.ceil((sight.top + sight.height) / h) + SPARE);
   const seen = points.slice(first, last);
-  const told = [seen, points.length, first, open, h, state.assist.wrong, !!broken(), selected(), byResidual];
-  if (JSON.stringify(told) === shown) return; // rows stay under the hand until they say something else
-  shown = JSON.stringify(told);
+  const all = [seen, points.length, first, open, h, state.assist.wrong, !!broken(), selected(), byResidual];
+  const told = JSON.stringify(all);
+  if (told === shown) return; // rows stay under the hand until they say something else
+  shown = told;
   const space = el("div", "space");
   space.style.height = `${points.length * h + (open >= 0 ? moreHeight() : 0)}px`;
   seen.forEach((point, k) => {
