@@ -145,6 +145,7 @@ function actionButton(box, action) {
 
 /** A tablet has no keys: undo, named, and the next question are always there. */
 function touchButtons(step) {
+  if (!state.step) return []; // nothing is connected that could do it
   const offered = new Set(step.actions.map((action) => action.do));
   const undo = button("button", "Undo", "", () => run("undo"));
   undo.disabled = !state.list.undo;
