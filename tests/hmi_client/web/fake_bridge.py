@@ -6,7 +6,7 @@ import json
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 
 import scenes
@@ -64,22 +64,22 @@ class FakeBridge:
     def say(self, *frames: Frame) -> None:
         """To all pages, now."""
         for frame in frames:
-            self._run(*(_send(page, frame) for page in self._sockets))
+            self._to_all(lambda page, frame=frame: _send(page, frame))
 
     def drop(self) -> None:
         """Closes all connections, as a bridge that ends does."""
-        self._run(*(page.close() for page in self._sockets))
+        self._to_all(lambda page: page.close())
 
-    def wait_for(self, do: str, timeout_s: float = 3.0) -> dict:
+    def wait_for(self, do: str, timeout_s: float = 10.0) -> dict:
         """The newest command of that id."""
         _until(lambda: any(m["do"] == do for m in self.heard), timeout_s)
         return next(m for m in reversed(self.heard) if m["do"] == do)
 
-    def _run(self, *jobs) -> None:
+    def _to_all(self, job: Callable[[WebSocket], Awaitable[None]]) -> None:
         async def all_of_them() -> None:
-            await asyncio.gather(*jobs, return_exceptions=True)
+            await asyncio.gather(*map(job, self._sockets), return_exceptions=True)
 
-        asyncio.run_coroutine_threadsafe(all_of_them(), self._loop).result(3)
+        asyncio.run_coroutine_threadsafe(all_of_them(), self._loop).result(10)
 
     async def _index(self, _) -> FileResponse:
         return FileResponse(STATIC / "index.html", headers={"Content-Security-Policy": CSP})
@@ -90,10 +90,10 @@ class FakeBridge:
         if hello != {"do": "hello", "token": "let-me-in", "v": 1} or self.refuse:
             await page.close(4401)
             return
-        for frame in (scenes.welcome(self.settings), *self.scene):
-            await _send(page, frame)
-        self._sockets.add(page)
+        self._sockets.add(page)  # before any await: what is not refused can be dropped
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            for frame in (scenes.welcome(self.settings), *self.scene):
+                await _send(page, frame)
             while True:
                 await self._answer(page, await page.receive_json())
         self._sockets.discard(page)
@@ -113,7 +113,7 @@ async def _send(page: WebSocket, frame: Frame) -> None:
         await page.send_text(json.dumps(frame))
 
 
-def _until(done, timeout_s: float = 5.0) -> None:
+def _until(done, timeout_s: float = 10.0) -> None:
     end = time.monotonic() + timeout_s
     while not done():
         if time.monotonic() > end:
