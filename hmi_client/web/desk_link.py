@@ -5,6 +5,7 @@ pages; pages take what has changed since they last sent. So no page holds anothe
 is computed in the thread that serves.
 """
 
+import contextlib
 import logging
 import queue
 import threading
@@ -26,10 +27,11 @@ from fleetpose.protocol.errors import FleetPoseError
 
 log = logging.getLogger(__name__)
 
-BREATH_S = 0.01  # between two looks at what has changed
+BREATH_S = 0.005  # between two looks at what has changed
 LOOK_S = 0.25  # at the longest: silence has no event
 FLEET_S = 0.5  # between two matrices, and two maps
 HEALTH_S = 1.0
+ANSWER_S = 0.05  # a click that is confirmed so soon is told once: its page has drawn it already
 EVENTS_KEPT = 50
 _URGENT = ("server", "kept", "unconfirmed", "confirmed", "robots", "located")
 _TOPICS: tuple[Topic, ...] = tuple(
@@ -87,6 +89,7 @@ class DeskLink:
         self._stop = threading.Event()
         self._desk: Desk | None = None
         self._seen: dict[str, int] = {}
+        self._answer_due_s = 0.0
         self._fleet_key: Any = None
         self._fleet_s = self._health_s = -1e9
         self._events: deque[tuple[int, str]] = deque(maxlen=EVENTS_KEPT)
@@ -151,23 +154,27 @@ class DeskLink:
 
     def _watch(self) -> None:
         """Wakes the desk's thread when the session has changed."""
+        session, seen = self.seat.desk.session, dict[str, int]()
         while not self._stop.is_set():
-            session = self.seat.desk.session
-            seen = session.revisions()
+            if session is not self.seat.desk.session:  # a recording is played anew
+                session, seen = self.seat.desk.session, {}
             session.wait_change(seen, _TOPICS, LOOK_S)
+            seen = session.revisions()  # now: what changes from here on wakes again
             self._jobs.put(None)
             self._stop.wait(BREATH_S)
 
     def _run(self) -> None:
         while not self._stop.is_set():
-            job = self._jobs.get()
-            while job is not None or not self._jobs.empty():
-                if job is not None:
-                    job()
-                job = None if self._jobs.empty() else self._jobs.get()
+            left_s = self._answer_due_s - time.monotonic()
+            with contextlib.suppress(queue.Empty):
+                job = self._jobs.get(timeout=left_s if left_s > 0 else None)
+                while job is not None or not self._jobs.empty():
+                    if job is not None:
+                        job()
+                    job = None if self._jobs.empty() else self._jobs.get()
             if self.seat.failure is not None:
                 raise self.seat.failure
-            if self._look():
+            if not self._awaits_answer() and self._look():
                 for guest in self._guests:
                     guest.wake()
 
@@ -175,6 +182,7 @@ class DeskLink:
         desk = self._followed()
         if heard.do == "pick":
             self.outlook.renew("list")  # the page has drawn it already: it is told what came of it
+            self._answer_due_s = time.monotonic() + ANSWER_S
         try:
             if heard.do == "settings":
                 self._settings.set(heard.args.get("set", {}))
@@ -206,6 +214,12 @@ class DeskLink:
                 guest.tell(told.cursor(side, now))
 
     # ---- looking ---------------------------------------------------------------------------------
+
+    def _awaits_answer(self) -> bool:
+        """Whether a point was put just now, and may be confirmed before anything is to be told."""
+        session = self._followed().session
+        on_its_way = session.half is None and session.unconfirmed > 0
+        return on_its_way and time.monotonic() < self._answer_due_s
 
     def _followed(self) -> Desk:
         """The seat's desk; what is known of an earlier one is forgotten."""
