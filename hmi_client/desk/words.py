@@ -4,6 +4,7 @@ import math
 import re
 import textwrap
 from collections.abc import Mapping
+from functools import lru_cache
 
 from fleetpose.hmi_client.model.matrix import are_joined, components_of, doubt_text, length_text
 from fleetpose.hmi_client.model.records import Entry, EntryStatus
@@ -89,6 +90,7 @@ def age_text(seconds: float) -> str:
     return f"{seconds / 60:.0f} min ago" if seconds < 6000 else f"{seconds / 3600:.0f} h ago"
 
 
+@lru_cache(1024)  # the same few are told again and again
 def plain(reason: str) -> str:
     """A server's reason in plain words, without figures that nobody has calibrated; what no rule
     knows stays as it is.

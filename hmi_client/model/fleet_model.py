@@ -157,6 +157,12 @@ class FleetModel(Changes):
             return ""
 
     @property
+    def pictures_wait(self) -> bool:
+        """Whether a picture of the pair is here of which the server has not told that it has it."""
+        with self._changed:
+            return any(self._gallery.waits(robot) for robot in self.pair or ())
+
+    @property
     def frozen(self) -> bool:
         return self._gallery.frozen
 

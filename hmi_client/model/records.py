@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 from fleetpose.protocol.messages import Correspondence, ViewName
@@ -101,6 +102,7 @@ def new_events(old: tuple[str, ...], new: tuple[str, ...]) -> tuple[str, ...]:
     return new
 
 
+@lru_cache(4096)  # a fleet is sorted at each look at it
 def natural(name: str) -> tuple[str | int, ...]:
     """Sorting key by which r2 comes before r10."""
     return tuple(int(part) if k % 2 else part for k, part in enumerate(re.split(r"(\d+)", name)))

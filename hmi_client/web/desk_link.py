@@ -27,7 +27,8 @@ from fleetpose.protocol.errors import FleetPoseError
 
 log = logging.getLogger(__name__)
 
-BREATH_S = 0.005  # between two looks at what has changed
+GATHER_S = 0.002  # what changes is told by several messages
+BREATH_S = 0.008  # between two looks at what has changed
 LOOK_S = 0.25  # at the longest: silence has no event
 FLEET_S = 0.5  # between two matrices, and two maps
 HEALTH_S = 1.0
@@ -159,6 +160,7 @@ class DeskLink:
             if session is not self.seat.desk.session:  # a recording is played anew
                 session, seen = self.seat.desk.session, {}
             session.wait_change(seen, _TOPICS, LOOK_S)
+            self._stop.wait(GATHER_S)
             seen = session.revisions()  # now: what changes from here on wakes again
             self._jobs.put(None)
             self._stop.wait(BREATH_S)

@@ -1,6 +1,5 @@
 """The client between a session and a fake server, over real zenoh."""
 
-import time
 
 import pytest
 from hmi_fakes import alignment, fleet, pose, view, wait_for
@@ -136,7 +135,7 @@ def test_of_states_that_come_fast_the_newest_is_told_and_a_damaged_one_counts_on
             said(pack(fleet(6, n=n)))
         wait_for(lambda: session.fleet is not None and session.fleet.n == 50)
         assert len(opened) < 25
-        wait_for(lambda: time.monotonic() > client._state_due_s)
+        wait_for(lambda: not client._is_early())
         said(b"\xc1garbage")
         wait_for(lambda: client.drops["not msgpack"] == 1)
         for n in (100, 101):  # the reader goes round

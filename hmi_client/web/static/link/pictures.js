@@ -1,7 +1,7 @@
 // The newest image of each side. One is decoded at a time, the one before is closed, and the bridge
 // hears of each that was drawn, so that the next may come.
 
-import { state, changed, unanswered } from "./store.js";
+import { state, changed, drawn, unanswered } from "./store.js";
 import { send } from "./socket.js";
 
 const waiting = [null, null];
@@ -30,7 +30,7 @@ async function decode(side, { scale, view, jpeg }) {
   if (bitmap && mine !== pair) bitmap.close();
   else if (bitmap)
     take(side, { bitmap, scale, view, width: bitmap.width * scale, height: bitmap.height * scale });
-  else requestAnimationFrame(() => send({ do: "ack", side, view })); // a damaged one must not stop the next
+  else drawn(() => send({ do: "ack", side, view })); // a damaged one must not stop the next
 }
 
 function take(side, image) {
@@ -41,7 +41,7 @@ function take(side, image) {
   state.cursors[side] ??= half?.side === side ? half.pixel : [(image.width - 1) / 2, (image.height - 1) / 2];
   if (before?.width === image.width && before.height === image.height) changed(`image ${side}`);
   else changed("images");
-  requestAnimationFrame(() => requestAnimationFrame(() => send({ do: "ack", side, view: image.view })));
+  drawn(() => send({ do: "ack", side, view: image.view }));
 }
 
 /** Another pair has other images: the old ones are not its own. */

@@ -1,6 +1,8 @@
-// All that the page knows, and who draws what of it. A change is drawn once per frame, and at once
-// where a hand has made it.
+// All that the page knows, and who draws what of it. What a hand does is drawn at once, and what comes
+// of it in the next frame; what else comes is gathered, so that both images make one frame.
 
+const GATHER_MS = 40,
+  HAND_MS = 1000; // after what a hand did
 const NO_LIST = {
   pair: null,
   points: [],
@@ -50,9 +52,12 @@ export const state = {
 const watchers = new Map();
 const reactions = new Map();
 const dirty = new Set();
-let frame = 0;
+let frame = 0,
+  timer = 0,
+  handAt = -HAND_MS,
+  awaited = [];
 
-/** Calls `draw` in the next frame after one of the topics changed. */
+/** Calls `draw` in one of the next frames after one of the topics changed. */
 export function watch(topics, draw) {
   for (const topic of topics) watchers.set(topic, [...(watchers.get(topic) ?? []), draw]);
 }
@@ -66,18 +71,39 @@ export function react(topics, deed) {
 export function changed(...topics) {
   for (const deed of new Set(topics.map((topic) => reactions.get(topic)))) deed?.();
   for (const topic of topics) for (const draw of watchers.get(topic) ?? []) dirty.add(draw);
-  if (dirty.size && !frame) frame = requestAnimationFrame(flush);
+  if (dirty.size && !frame) drawSoon();
+}
+
+/** Calls `deed` once all that changed until now is on the screen. */
+export function drawn(deed) {
+  awaited.push(deed);
+  if (!frame) drawSoon();
+}
+
+function drawSoon() {
+  const inFrame = () => (frame ||= requestAnimationFrame(flush));
+  if (performance.now() - handAt < HAND_MS) inFrame();
+  else timer ||= setTimeout(inFrame, GATHER_MS);
 }
 
 function flush() {
   cancelAnimationFrame(frame);
-  frame = 0;
+  clearTimeout(timer);
+  frame = timer = 0;
   const draws = [...dirty];
   dirty.clear();
   for (const draw of draws) draw();
+  const deeds = awaited;
+  awaited = [];
+  if (deeds.length) requestAnimationFrame(() => deeds.forEach((deed) => deed()));
 }
 
-for (const hand of ["keydown", "pointerup", "click"]) addEventListener(hand, flush);
+const noteHand = () => (handAt = performance.now());
+for (const hand of ["pointerdown", "pointermove", "wheel"]) addEventListener(hand, noteHand, true);
+for (const hand of ["keydown", "pointerup", "click"]) {
+  addEventListener(hand, noteHand, true);
+  addEventListener(hand, flush);
+}
 
 /** Puts a value and says so. */
 export function put(topic, value) {
