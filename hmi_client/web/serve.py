@@ -1,5 +1,6 @@
 """`hmi-client web` as a process: desks of operators, and a server for their pages."""
 
+import gc
 import logging
 import signal
 import threading
@@ -241,6 +242,7 @@ def run_web(
     url = f"{served.url}#token={token}" if token else f"{served.url}#token=TOKEN"
 
     def ready() -> None:
+        gc.freeze()  # what is here stays: going through it again and again stops all for 40 ms
         say(url)
         if reach.open_browser and token:
             threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()

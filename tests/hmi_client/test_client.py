@@ -1,6 +1,5 @@
 """The client between a session and a fake server, over real zenoh."""
 
-
 import pytest
 from hmi_fakes import alignment, fleet, pose, view, wait_for
 

@@ -5,10 +5,12 @@ Poses and errors of all robots change at each turn; images come of those robots 
 subscribes to.
 """
 
+import contextlib
 import json
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,11 +76,14 @@ class Load:
 def run(load: Load, connect: tuple[str, ...], site: str, notes: Path) -> None:
     """Says until SIGTERM or SIGINT; the operator's updates go to `notes`, a JSON line each."""
     stop = stop_at_signals()
-    link = Link(open_session(SessionSettings(connect=connect)))
-    try:
-        StandIn(link, Keys(site), load, notes).run(stop)
-    finally:
-        link.close()
+    with contextlib.ExitStack() as links:
+
+        def opened() -> Link:
+            return links.enter_context(
+                contextlib.closing(Link(open_session(SessionSettings(connect=connect))))
+            )
+
+        StandIn(opened(), (opened(), opened()), Keys(site), load, notes).run(stop)
 
 
 def images(moving: bool, seed: int) -> list[bytes]:
@@ -97,9 +102,20 @@ def images(moving: bool, seed: int) -> list[bytes]:
 
 
 class StandIn:
-    """Says what a server and its robots would say."""
+    """Says what a server and its robots would say.
 
-    def __init__(self, link: Link, keys: Keys, load: Load, notes: Path) -> None:
+    Args:
+        link: of the server.
+        robots_links: of robots, in turn: an image of one must not be passed over because that of
+            its neighbour is on its way, as it would be on one link.
+        keys: of the site.
+        load: how much is said.
+        notes: file of the operator's updates.
+    """
+
+    def __init__(
+        self, link: Link, robots_links: Sequence[Link], keys: Keys, load: Load, notes: Path
+    ) -> None:
         self._link, self._keys, self._load, self._notes = link, keys, load, notes
         self._epoch, self._robot_epoch = new_epoch(), new_epoch()
         self._names = [f"r{k + 1}" for k in range(load.robots)]
@@ -114,7 +130,10 @@ class StandIn:
         link.token(keys.server_alive(self._epoch))
         self._states = link.latched(keys.state)
         self._poses = [link.latched(keys.pose(name)) for name in self._names]
-        self._bulk = [link.bulk(keys.image(name), background=True) for name in self._names]
+        self._bulk = [
+            robots_links[k % len(robots_links)].bulk(keys.image(name), background=True)
+            for k, name in enumerate(self._names)
+        ]
         for name in self._names:
             announced = messages.CameraAnnouncement(
                 robot=name, epoch=self._robot_epoch, camera=CAMERA, rate_hz=load.image_hz
