@@ -47,6 +47,7 @@ NOISE_LEVELS = 2.0  # of a sensor, sigma
 IMAGES = 40  # that are shown in turn
 PAN_PX = 6  # per image of a moving camera
 KEPT = 3  # clicks of a pair: the screen is not to drown in them
+_APART_S, _PHASES = 0.025, 8  # robots do not take images at the same instant
 _RING_M = 10.0
 
 Image = npt.NDArray[np.uint8]
@@ -122,6 +123,7 @@ class StandIn:
         self._rng = np.random.default_rng(0)
         self._images = [images(load.moving, seed) for seed in (1, 2)]
         self._seq = 0
+        self._due: list[tuple[float, int]] = []  # images of this turn, and when
         self._heard: deque[Sample] = deque()  # callbacks only store
         self._selected: Selection | None = None
         self._sets: dict[tuple[str, str], PairCorrespondences] = {}
@@ -151,8 +153,9 @@ class StandIn:
             passed_s = time.monotonic() - began_s
             if passed_s >= shown / self._load.image_hz:
                 self._seq += 1
-                self._show()
                 shown += 1
+                self._due = [(passed_s + k % _PHASES * _APART_S, k) for k in range(len(self._bulk))]
+            self._show(passed_s)
             if passed_s >= n / self._load.state_hz:
                 self._tell(n)
                 n += 1
@@ -161,8 +164,11 @@ class StandIn:
 
     # ---- saying ----------------------------------------------------------------------------------
 
-    def _show(self) -> None:
-        for k, publisher in enumerate(self._bulk):
+    def _show(self, passed_s: float) -> None:
+        due = [k for due_s, k in self._due if due_s <= passed_s]
+        self._due = [(due_s, k) for due_s, k in self._due if due_s > passed_s]
+        for k in due:
+            publisher = self._bulk[k]
             if publisher.wanted:
                 name = self._view(self._names[k])
                 header = messages.ImageHeader(view=name, stamp_ns=time.time_ns())
