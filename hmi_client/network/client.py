@@ -163,7 +163,8 @@ class Client:
         if sample.key == self.keys.state:
             with self._state_turn:
                 self._take_due_states()  # before a newer one takes their place
-                if self._is_early() and len(self._waiting_states) < MOST_WAITING:
+                share = HASTY_SHARE if self.session.pictures_wait else STATE_SHARE
+                if self._is_early(share) and len(self._waiting_states) < MOST_WAITING:
                     self._waiting_states.append(sample)
                 else:
                     self._take(sample)
@@ -180,9 +181,8 @@ class Client:
         while self._waiting_states and not self._is_early():
             self._take(self._waiting_states.pop())
 
-    def _is_early(self) -> bool:
+    def _is_early(self, share: float = STATE_SHARE) -> bool:
         """Whether a state would take more of the core than its share."""
-        share = HASTY_SHARE if self.session.pictures_wait else STATE_SHARE
         pause_s = min(self._state_took_s / share, LONGEST_PAUSE_S)
         return time.monotonic() < self._state_opened_s + pause_s
 

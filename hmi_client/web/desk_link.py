@@ -28,7 +28,8 @@ from fleetpose.protocol.errors import FleetPoseError
 log = logging.getLogger(__name__)
 
 GATHER_S = 0.002  # what changes is told by several messages
-BREATH_S = 0.008  # between two looks at what has changed
+BREATH_S, IDLE_BREATH_S = 0.008, 0.05  # between two looks at what has changed
+HAND_S = 2.0  # after what a page asked for
 LOOK_S = 0.25  # at the longest: silence has no event
 FLEET_S = 0.5  # between two matrices, and two maps
 HEALTH_S = 1.0
@@ -90,7 +91,7 @@ class DeskLink:
         self._stop = threading.Event()
         self._desk: Desk | None = None
         self._seen: dict[str, int] = {}
-        self._answer_due_s = 0.0
+        self._answer_due_s, self._asked_s = 0.0, -HAND_S
         self._fleet_key: Any = None
         self._fleet_s = self._health_s = -1e9
         self._events: deque[tuple[int, str]] = deque(maxlen=EVENTS_KEPT)
@@ -131,6 +132,7 @@ class DeskLink:
 
     def do(self, guest: Guest, heard: Heard) -> None:
         """A page asks for something; a refusal is told to that page."""
+        self._asked_s = time.monotonic()
         self._jobs.put(lambda: self._do(guest, heard))
 
     @property
@@ -163,7 +165,8 @@ class DeskLink:
             self._stop.wait(GATHER_S)
             seen = session.revisions()  # now: what changes from here on wakes again
             self._jobs.put(None)
-            self._stop.wait(BREATH_S)
+            idle = time.monotonic() - self._asked_s > HAND_S
+            self._stop.wait(IDLE_BREATH_S if idle else BREATH_S)
 
     def _run(self) -> None:
         while not self._stop.is_set():
