@@ -177,6 +177,7 @@ class Page:
             return
         self._sent_images[side] = shown.pair, shown.id
         self._unseen[side] = shown.id
+        self._link.pictures.keep(shown)
         picture, quality = shown.picture, self._thrift.quality
         if quality < 100:
             picture = await anyio.to_thread.run_sync(outlook.compressed, picture, quality)

@@ -23,7 +23,8 @@ Floats = npt.NDArray[np.floating]
 POINTS = 3000
 _STAYED_M, _STAYED_RAD = 0.2, np.radians(5.0)  # nearer than that it is the same place
 _MOVED_M, _MOVED_RAD = 0.005, np.radians(0.1)  # a pose that changed less is not told again
-_RETRY_S, _PAUSE_S = 2.0, 0.02
+_RETRY_S, _SELDOM_S = 2.0, 60.0  # who gives none is asked again after twice as long each time
+_PAUSE_S = 0.02
 _NO_POINTS = points_of_cloud(np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
 _HEIGHTS = (-0.1, 0.0, 0.15, 0.4)  # shares of the scene's depth
 _COLOURS = np.array([(60, 90, 170), (90, 160, 190), (190, 190, 150), (190, 120, 60)], float)
@@ -69,6 +70,7 @@ class Clouds:
         self._session, self._fetch, self._changed = session, fetch, changed
         self.known: dict[str, Cloud] = {}
         self._next_s: dict[str, float] = {}
+        self._pause_s: dict[str, float] = {}
         self._stop, self._wanted = threading.Event(), threading.Event()
         self._version = self._seen = 0
         self._wanted.set()
@@ -114,23 +116,25 @@ class Clouds:
                 return False
         if time.monotonic() < self._next_s.get(robot, 0.0):
             return False
-        self._next_s[robot] = time.monotonic() + _RETRY_S
-        self._ask(robot, pose, known)
+        given = self._ask(robot, pose, known)
+        self._pause_s[robot] = _RETRY_S if given else 2 * self._pause_s.get(robot, _RETRY_S / 2)
+        self._next_s[robot] = time.monotonic() + min(self._pause_s[robot], _SELDOM_S)
         return True
 
-    def _ask(self, robot: str, pose: RobotPose, known: Cloud | None) -> None:
+    def _ask(self, robot: str, pose: RobotPose, known: Cloud | None) -> bool:
         try:
             view = self._fetch(pose.view)
             points = points_in_robot(view)
         except FleetPoseError as error:
             log.info("points of %s: %s", robot, error)
-            return
+            return False
         fleet = self._session.fleet
         depth_m = (fleet.depth_m if fleet else None) or 10.0
         packed = points_of_cloud(points, colours_of(points, pose.T_fleet_robot, depth_m))
         number = 1 if known is None else known.keyframe + 1
         version = 1 if known is None else known.version + 1
         self._take(robot, Cloud(number, version, pose.T_fleet_robot, packed))
+        return True
 
     def _take(self, robot: str, cloud: Cloud) -> None:
         self.known[robot] = cloud

@@ -2,6 +2,7 @@
 what it has not sent yet.
 """
 
+import threading
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -21,7 +22,10 @@ ORDER = ("names", "list", "step", "assist", "pair", "questions", "health", "cloc
 FLEET = ("matrix", "poses")
 QUALITIES = (100, 60, 35, 20)  # of JPEGs, the more the slower a page's link is
 SLOW_S, QUICK_S = 0.6, 0.15  # until an image is drawn; a step of quality is less than between them
-KEPT = 24  # pictures: a page is one or two behind
+NUMBERED = 24  # pictures: those shown and a few before
+SENT = (
+    64  # pictures of which pages may speak: on both sides what 16 pages show, and what comes next
+)
 
 
 class Outlook:
@@ -90,13 +94,16 @@ class Shown:
 
 
 class Pictures:
-    """Numbers what is shown, and remembers it until a page has surely drawn something newer."""
+    """Numbers what is shown, and remembers what was sent until a page has surely drawn something
+    newer, however long that takes on its link.
+    """
 
     def __init__(self) -> None:
         self.shown: tuple[Shown | None, Shown | None] = (None, None)
-        self._kept: OrderedDict[int, Picture] = OrderedDict()
-        self._numbers: dict[ViewName, int] = {}
+        self._sent: OrderedDict[int, Picture] = OrderedDict()
+        self._numbers: OrderedDict[ViewName, int] = OrderedDict()
         self._count = 0
+        self._lock = threading.Lock()  # pages are sent to by another thread than theirs who follows
 
     def follow(self, desk: Desk) -> bool:
         """Takes what a desk shows now; whether that is something else."""
@@ -104,19 +111,29 @@ class Pictures:
         self.shown = self._of(desk, 0), self._of(desk, 1)
         return self.shown != before
 
+    def keep(self, shown: Shown) -> None:
+        """A page is sent a picture, and may speak of it from now on."""
+        with self._lock:
+            self._sent[shown.id] = shown.picture
+            self._sent.move_to_end(shown.id)
+            if len(self._sent) > SENT:
+                self._sent.popitem(last=False)
+
     def seen(self, id: int) -> Picture:
         """The picture that a page calls by a number.
 
         Raises:
             OperatorError: it was too long ago.
         """
-        if id not in self._kept:
+        picture = self.known(id)
+        if picture is None:
             raise OperatorError("that image has gone: look at the newest one and pick again")
-        return self._kept[id]
+        return picture
 
     def known(self, id: int) -> Picture | None:
         """The picture that a page calls by a number; none if it was too long ago."""
-        return self._kept.get(id)
+        with self._lock:
+            return self._sent.get(id)
 
     def _of(self, desk: Desk, side: int) -> Shown | None:
         picture, pair = desk.picture(side), desk.session.pair
@@ -125,10 +142,8 @@ class Pictures:
         if picture.view not in self._numbers:
             self._count += 1
             self._numbers[picture.view] = self._count
-            self._kept[self._count] = picture
-            if len(self._kept) > KEPT:
-                _, old = self._kept.popitem(last=False)
-                del self._numbers[old.view]
+            if len(self._numbers) > NUMBERED:
+                self._numbers.popitem(last=False)
         return Shown(self._numbers[picture.view], pair, picture)
 
 

@@ -2,6 +2,7 @@
 read from its own modules, so that nothing in the product is there for a test alone.
 """
 
+import json
 from typing import Any
 
 from fleetpose.evaluation.system.web.browser import became
@@ -36,10 +37,14 @@ def wait_knows(page: Any, condition: str, timeout_s: float = WITHIN_S) -> None:
 
 
 def open_pair(page: Any) -> tuple[str, str]:
-    """Takes the best question and waits for both images; returns the robots' names."""
+    """Takes the next question and waits for both images; returns the robots' names. An operator
+    who is there by another page may have a pair already.
+    """
     wait_knows(page, "state.questions.length > 0")
+    before = json.dumps(",".join(knows(page, "list.pair") or ()))
     page.keyboard.press("n")
-    wait_knows(page, "state.list.pair && state.images[0] && state.images[1]")
+    taken = f"state.list.pair && String(state.list.pair) !== {before}"
+    wait_knows(page, f"{taken} && state.images[0] && state.images[1]")
     first, second = knows(page, "list.pair")
     return first, second
 
