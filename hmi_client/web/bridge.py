@@ -175,6 +175,8 @@ class Page:
             return
         if self._unseen[side] is not None and sent is not None and sent[0] == shown.pair:
             return
+        if not self._thrift.known and self._unseen[1 - side] is not None:
+            return
         self._sent_images[side] = shown.pair, shown.id
         self._unseen[side] = shown.id
         self._link.pictures.keep(shown)

@@ -154,6 +154,7 @@ class Thrift:
 
     def __init__(self) -> None:
         self._level = 0
+        self.known = False  # how quick the link is; until then images go one by one
 
     @property
     def quality(self) -> int:
@@ -162,7 +163,8 @@ class Thrift:
 
     def drawn(self, took_s: float) -> None:
         """The page has drawn an image so long after it was sent."""
-        step = 1 if took_s > SLOW_S else -1 if took_s < QUICK_S else 0
+        self.known = True
+        step = round(took_s / SLOW_S) if took_s > SLOW_S else -1 if took_s < QUICK_S else 0
         self._level = min(max(self._level + step, 0), len(QUALITIES) - 1)
 
 

@@ -3,6 +3,8 @@
 import sys
 import threading
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import cv2
 import numpy as np
@@ -13,12 +15,14 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from hmi_fakes import CAMERA, fleet, pose, view, wait_for
 
+from fleetpose.hmi_client.desk.desk import Desk
+from fleetpose.hmi_client.errors import OperatorError
 from fleetpose.hmi_client.model.matrix import QUANTITIES
 from fleetpose.hmi_client.model.records import Picture
 from fleetpose.hmi_client.model.session import OperatorSession
 from fleetpose.hmi_client.web import frames
 from fleetpose.hmi_client.web.clouds import Clouds, points_in_robot
-from fleetpose.hmi_client.web.outlook import Thrift, compressed
+from fleetpose.hmi_client.web.outlook import Pictures, Thrift, compressed
 from fleetpose.protocol.clouds import encode_scattered
 from fleetpose.protocol.errors import UnreachableError
 from fleetpose.protocol.messages import Salient, View
@@ -52,6 +56,27 @@ def test_a_slow_page_gets_images_of_the_same_size_in_fewer_bytes_until_it_is_qui
     assert cv2.imdecode(np.frombuffer(less.jpeg, np.uint8), 1).shape == pixels.shape
     damaged = Picture(view("r1"), b"\xff\xd8abc", 2, 0.0)
     assert compressed(damaged, 20) is damaged
+
+
+def test_what_a_page_was_sent_can_be_picked_in_however_much_was_shown_since():
+    pictures, shown = Pictures(), {"r1": None, "r2": None}
+    desk = cast(
+        Desk,
+        SimpleNamespace(
+            picture=lambda side: shown[("r1", "r2")[side]],
+            session=SimpleNamespace(pair=("r1", "r2")),
+        ),
+    )
+    for seq in range(200):
+        shown["r1"] = Picture(view("r1", seq), b"", 1, 0.0)
+        assert pictures.follow(desk)
+        if seq == 0:
+            first = pictures.shown[0]
+            assert first is not None
+            pictures.keep(first)
+    assert pictures.seen(first.id) == Picture(view("r1", 0), b"", 1, 0.0)
+    with pytest.raises(OperatorError, match="has gone"):
+        pictures.seen(first.id + 1)
 
 
 def test_an_image_goes_through_untouched():
