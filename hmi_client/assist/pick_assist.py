@@ -67,18 +67,25 @@ class PickAssist:
         return corner
 
     def places(self, side: int, least_u: float, least_v: float, at_most: int) -> list[PixelUV]:
-        """Pixels worth a pick, the strongest corners first: with depth as far as that is known, and
-        so far from each other.
+        """Pixels worth a pick: with depth as far as that is known, and so far from each other. For
+        the first half of a point the strongest corners come first, for the other half those that
+        look most like the first one.
         """
         grey, depths = self._grey(side), self._depths(side)
         if grey is None:
             return []
+        half = self._session.half
+        first = self._grey(half.side) if half is not None and half.side != side else None
         if depths is not None and depths.scattered:
             uv = depths.uv[picking.by_strength(grey, depths.uv)]
         else:
-            uv = picking.corners(grey, max(min(least_u, least_v) / 2, 3.0))
+            apart_px = 3.0 if first is not None else max(min(least_u, least_v) / 2, 3.0)
+            uv = picking.corners(grey, apart_px)
             if depths is not None:
                 uv = uv[[depths.has((u, v)) for u, v in uv.tolist()]] if len(uv) else uv
+        if half is not None and first is not None:
+            look, near = picking.look_at(first, half.pixel), self._by_clicks(half.side, half.pixel)
+            uv = uv[picking.by_likeness(grey, uv, look, near)]
         chosen = picking.apart(uv, least_u, least_v, at_most)
         return [(float(u), float(v)) for u, v in uv[chosen]]
 

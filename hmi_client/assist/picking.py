@@ -17,6 +17,7 @@ Floats = npt.NDArray[np.floating]
 SNAP_PX = 6
 _PATCHES = ((8.0, 1), (14.0, 2))  # px and octave: what a point looks like, close and wider around
 _SIMILAR = 0.85  # mean cosine of the looks of two points that may be one; see `alike`
+_FARNESS = 0.0005  # of a cosine for each pixel that a place is farther from where it is expected
 _FIRST_LAYER = 1 << 8  # how OpenCV packs a layer beside an octave
 _CORNERS, _CORNERS_APART_PX = 800, 4.0
 
@@ -67,6 +68,15 @@ def by_strength(grey: Image, uv: Floats) -> npt.NDArray[np.int64]:
     height, width = grey.shape
     inside = strength[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
     return np.argsort(-inside, kind="stable")
+
+
+def by_likeness(
+    grey: Image, uv: Floats, look: npt.NDArray[np.float32], near: PixelUV | None
+) -> npt.NDArray[np.int64]:
+    """(N,) order of some pixels (N, 2) by how much they look like a look (A, 128), the most first;
+    of those that look about as good the nearest to where it is expected.
+    """
+    return np.argsort(-_near(_cosines(_look(grey, uv), look), uv, near), kind="stable")
 
 
 def apart(uv: Floats, least_u: float, least_v: float, at_most: int) -> list[int]:
@@ -131,11 +141,19 @@ def alike(look: npt.NDArray[np.float32], looks: Looks, near: PixelUV | None = No
     """
     if not len(looks.uv):
         return None
-    cosine = np.einsum("nak,ak->n", looks.descriptors, look) / len(look)
-    if near is not None:
-        cosine = cosine - 0.0005 * np.linalg.norm(looks.uv - near, axis=1)
+    cosine = _near(_cosines(looks.descriptors, look), looks.uv, near)
     best = int(np.argmax(cosine))
     return best if cosine[best] >= _SIMILAR else None
+
+
+def _cosines(descriptors: npt.NDArray[np.float32], look: npt.NDArray[np.float32]) -> Floats:
+    """(N,) how alike looks (N, A, 128) and a look (A, 128) are: the mean over their scales."""
+    return np.einsum("nak,ak->n", descriptors, look) / len(look)
+
+
+def _near(cosine: Floats, uv: Floats, near: PixelUV | None) -> Floats:
+    """(N,) cosines, less for pixels (N, 2) that are farther from where one is expected."""
+    return cosine if near is None else cosine - _FARNESS * np.linalg.norm(uv - near, axis=1)
 
 
 def mapped(pixel: PixelUV, source: Sequence[PixelUV], target: Sequence[PixelUV]) -> PixelUV | None:

@@ -78,6 +78,14 @@ class Eyes:
             for seen, other in ((there, right), (back, left))
         )
 
+    def partner(self, pixel: Pixel) -> Pixel | None:
+        """Where the right image shows what a pixel of the left one shows; none where nothing near
+        it is seen by both.
+        """
+        if not len(self.uv_i) or np.linalg.norm(self.uv_i - pixel, axis=1).min() > KNOWN_PX:
+            return None
+        return self._seen_at(0, pixel, inverse(self.T_i_j))
+
     def _seen_at(self, side: int, pixel: Pixel, T_other_here: Floats) -> Pixel | None:
         """Where the other image shows what a pixel shows."""
         xyz, uv = self.clouds[side]

@@ -14,12 +14,10 @@ from fleetpose.evaluation.system.web import hands
 from fleetpose.evaluation.system.web.states.pieces import PiecesSite
 from fleetpose.protocol.errors import FleetPoseError
 
-GOOD_PX = 3.0  # nearer than that two crosses show the same point to an eye at the loupe
 SAME_PX = 1.5  # nearer than that nobody corrects by hand
 CORRECTED_KEYS = 1  # a suggestion that is off is corrected if that many keys do it
 LABEL_KEYS = 3  # of `g` and the two letters of a label
 APART_PX = 60.0  # points that are nearer to each other tell little more
-NEAR_PX, NEAR, SPREAD_PX = 25.0, 4, 4.0  # known partners around a pixel that tell where its own is
 READ_MS = (
     500  # nobody presses a button sooner after its words have changed, nor does the page take it
 )
@@ -80,7 +78,7 @@ class PageFingers:
             left, right = self._cursors()
             where = self._partner(left)
             keys = None if where is None else arrow_keys(*(where - right))
-            if where is not None and np.linalg.norm(where - right) < GOOD_PX:
+            if self.eyes.same(tuple(left.tolist()), tuple(right.tolist())):
                 keys = []
             if keys is None or len(keys) > CORRECTED_KEYS or not self._is_apart(left):
                 self.press("Shift+Tab")
@@ -142,18 +140,12 @@ class PageFingers:
         return min([float(np.linalg.norm(place - p)) for p in (*self.picked, *vain)], default=0.0)
 
     def _partner(self, pixel: Floats) -> Floats | None:
-        """(2,) where the right image shows what is at a pixel of the left one: as the points around
-        it move, if they move alike; none where that is not known.
+        """(2,) where the right image shows what is at a pixel of the left one; none where that is
+        not known.
         """
-        exact = self.eyes.partner(pixel)
-        if exact is not None or len(self.eyes.uv_i) < NEAR:
-            return exact
-        far = np.linalg.norm(self.eyes.uv_i - pixel, axis=1)
-        near = np.argsort(far)[:NEAR]
-        shift = self.eyes.uv_j[near] - self.eyes.uv_i[near]
-        if far[near].max() > NEAR_PX or np.ptp(shift, axis=0).max() > SPREAD_PX:
-            return None
-        return pixel + np.median(shift, axis=0)
+        u, v = pixel.tolist()
+        where = self.eyes.partner((u, v))
+        return None if where is None else np.asarray(where)
 
     def _go(self, worth: Callable[[Place], float]) -> Floats:
         """Goes by the best label; returns where the cross then is."""

@@ -16,8 +16,8 @@ from fleetpose.evaluation.system.fleet import (
     start,
     wait_started,
 )
-from fleetpose.evaluation.system.terminal.fingers import Eyes
 from fleetpose.evaluation.system.terminal.operate import SETTLE_S, is_asked_about, is_joined
+from fleetpose.evaluation.system.web.newcomer import Eyes
 from fleetpose.evaluation.system.web.site import WebSite
 from fleetpose.protocol.errors import FleetPoseError
 
