@@ -1,7 +1,7 @@
 // All that the page knows, and who draws what of it. What a hand does is drawn at once, and what comes
 // of it in the next frame; what else comes is gathered, so that both images make one frame.
 
-const GATHER_MS = 40,
+const GATHER_MS = 80, // longer than the bridge waits between two looks: a pair of images is one frame
   HAND_MS = 1000; // after what a hand did
 const NO_LIST = {
   pair: null,
