@@ -195,6 +195,24 @@ def test_a_tap_counts_also_where_the_browser_makes_no_click_of_it(opened, bridge
     assert [m["do"] for m in bridge[0].heard].count("snap") == 2
 
 
+def test_tabs_rows_and_the_head_take_a_tap_without_a_click(opened, bridge):
+    page = opened(scenes.wrong(), TABLET, touch=True)
+    page.locator("#tabs [data-tab=pair]").evaluate(_TOUCHED)
+    until(page, lambda: page.is_visible("#pair .fields"))
+    page.locator("#pair .row", has_text="3").locator(".fields").first.evaluate(_TOUCHED)
+    until(page, lambda: page.is_visible("#pair .row.current"))
+    page.locator("#tabs [data-tab=matrix]").evaluate(_TOUCHED)
+    until(page, lambda: page.is_visible("#matrix [data-at='0,1']"))
+    page.locator("#matrix [data-at='0,1']").evaluate(_TOUCHED)
+    assert bridge[0].wait_for("select")
+    page.locator("#theme").evaluate(_TOUCHED)
+    until(page, lambda: page.evaluate("document.documentElement.dataset.theme") == "light")
+    page.locator("#help-button").evaluate(_TOUCHED)
+    until(page, lambda: page.is_visible("#help .close"))
+    page.locator("#help .close").evaluate(_TOUCHED)
+    until(page, lambda: page.is_hidden("#help .close"))
+
+
 def test_two_fingers_zoom_about_what_lies_between_them(opened, bridge):
     page = opened(FREE, TABLET, touch=True)
     x, y = (round(v) for v in place(page, LEFT, "photo", (500.0, 300.0), CENTRE))

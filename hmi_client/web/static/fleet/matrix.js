@@ -1,7 +1,7 @@
 // The symmetric matrix of all pairs: a grid of words up to 24 robots, above that a heat map. A line
 // below says in words what the pair under the cursor is.
 
-import { el, say } from "../frame/dom.js";
+import { el, onPress, say } from "../frame/dom.js";
 import { state, watch, selected, nameOf, lengthText } from "../link/store.js";
 import { run } from "../link/commands.js";
 import { HeatMap } from "./heat.js";
@@ -12,7 +12,7 @@ const grid = panel.querySelector(".grid"),
   limit = panel.querySelector(".limit");
 const readout = document.getElementById("readout");
 export const MOST_WORDS = 24;
-const   BOLD_SHARE = 0.05;
+const BOLD_SHARE = 0.05;
 const TITLES = {
   rms: "Errors of pairs",
   sigma: "Sigma of poses",
@@ -92,7 +92,7 @@ function table() {
     cells.push(row);
     body.append(el("tr", "", head(name, "row"), ...row));
   });
-  body.addEventListener("click", (e) => {
+  onPress(body, (e) => {
     const at = e.target.closest("[data-at]")?.dataset.at;
     if (at) {
       cursor = at.split(",").map(Number);

@@ -15,8 +15,13 @@ export function button(className, label, key, click) {
   const node = el("button", className, label);
   if (key) node.append(el("kbd", "", key));
   node.type = "button";
-  node.addEventListener("click", click);
-  onTap(node, click);
+  return onPress(node, click);
+}
+
+/** What a mouse, a key or a finger on a button (or on what lies in it) does; returns the node. */
+export function onPress(node, deed) {
+  node.addEventListener("click", deed);
+  onTap(node, deed);
   return node;
 }
 

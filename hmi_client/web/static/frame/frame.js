@@ -1,7 +1,7 @@
 // Head and foot of the page: how the fleet is, who is here, the connection; what happened last, keys
 // worth knowing, and what the server confirmed. And the clock of a recording.
 
-import { el, button, say } from "./dom.js";
+import { el, button, onPress, say } from "./dom.js";
 import { state, watch, broken, nameOf, selected, ageText } from "../link/store.js";
 import { missing, listed, plural } from "./steps.js";
 import { keyOf } from "./keys.js";
@@ -115,11 +115,10 @@ function drawFoot() {
 function keyButton(key, label, id) {
   const node = el("button", "hint", el("kbd", "", key), ` ${label}`);
   node.tabIndex = -1; // the keys are there already
-  node.addEventListener("click", () => {
+  return onPress(node, () => {
     run(id);
     node.blur();
   });
-  return node;
 }
 
 function drawKept() {

@@ -1,6 +1,6 @@
 // The pages over the page: keys and signs, what happened, and why a robot is located or not.
 
-import { el } from "./dom.js";
+import { el, onPress } from "./dom.js";
 import { state, watch } from "../link/store.js";
 import { command } from "../link/commands.js";
 import { entries, keysOf, printed } from "./keys.js";
@@ -30,7 +30,7 @@ const PAGE = [
 export function startHelp() {
   command("help", () => toggle(help, drawHelp));
   command("events", () => toggle(log, drawLog));
-  document.getElementById("help-button").addEventListener("click", () => toggle(help, drawHelp));
+  onPress(document.getElementById("help-button"), () => toggle(help, drawHelp));
   for (const dialog of [help, log])
     dialog.addEventListener("click", (e) => {
       if (e.target === dialog) dialog.close();
@@ -63,8 +63,7 @@ function open(dialog, draw) {
 
 const head = (text, dialog) => {
   const close = el("button", "close", el("kbd", "", "Esc"), " goes back");
-  close.addEventListener("click", () => dialog.close());
-  return el("div", "head", el("h2", "", text), close);
+  return el("div", "head", el("h2", "", text), onPress(close, () => dialog.close()));
 };
 
 function row(keys, text) {

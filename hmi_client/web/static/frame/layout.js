@@ -1,6 +1,6 @@
 // Which panels are shown, in which theme; what is seen is told to the bridge, which sends nothing else.
 
-import { el, say } from "./dom.js";
+import { el, onPress, say } from "./dom.js";
 import { state, watch, put, changed, selected } from "../link/store.js";
 import { command, run } from "../link/commands.js";
 import { send } from "../link/socket.js";
@@ -42,11 +42,8 @@ export function startLayout() {
       document.querySelector(where)?.focus();
       if (id in SIDES) activate(SIDES[id]); // it may have had the focus before
     });
-  document
-    .getElementById("theme")
-    .addEventListener("click", () => setTheme(state.theme === "dark" ? "light" : "dark"));
-  for (const node of document.querySelectorAll("[data-do]"))
-    node.addEventListener("click", () => run(node.dataset.do));
+  onPress(document.getElementById("theme"), () => setTheme(state.theme === "dark" ? "light" : "dark"));
+  for (const node of document.querySelectorAll("[data-do]")) onPress(node, () => run(node.dataset.do));
   document.getElementById("tabs").append(...TABS.map(tab));
   watch(["welcome"], restore);
   watch(["mode", "selection", "panel", "welcome", "images"], arrange);
@@ -60,8 +57,7 @@ function tab([id, label]) {
   const node = el("button", "", label, el("span", "badge"));
   node.setAttribute("role", "tab");
   node.dataset.tab = id;
-  node.addEventListener("click", () => put("panel", id));
-  return node;
+  return onPress(node, () => put("panel", id));
 }
 
 const show = (name) => {

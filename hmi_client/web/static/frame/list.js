@@ -1,7 +1,7 @@
 // The list of points, of which only the visible rows exist; the verdict above it; and, where no pair
 // is selected, the questions.
 
-import { el, button, say } from "./dom.js";
+import { el, button, onPress, say } from "./dom.js";
 import { state, watch, changed, selected, markerColour, lengthText, nameOf, broken } from "../link/store.js";
 import { isBad } from "../images/marks.js";
 import { run } from "../link/commands.js";
@@ -113,11 +113,10 @@ function questionRow(q, k) {
     el("span", "dim", q.why ?? ""),
     el("b", "number", q.gain ? (q.gain < 0.001 ? "< 0.1 cm" : lengthText(q.gain)) : ""),
   );
-  row.addEventListener("click", () => {
+  return onPress(row, () => {
     if (state.mode === "over") run("overview");
     run("select", { a: nameOf(q.i), b: nameOf(q.j) });
   });
-  return row;
 }
 
 const rowHeight = () => (touch.matches ? 48 : 36);
@@ -198,7 +197,7 @@ function pointRow(point, open) {
     el("span", "number", lengthText(point.residual_m)),
     el("span", "pixels", point.by ?? ""),
   );
-  fields.addEventListener("click", () => {
+  onPress(fields, () => {
     toPoint(point.id);
     state.current = point.id;
     changed("list");
